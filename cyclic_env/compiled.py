@@ -1,0 +1,45 @@
+"""Compilation of the numeric kernels by numba: once per machine, then cached on disk."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from numba import njit
+
+NOTICE_DELAY = 2.0
+"""Seconds; loading compiled code from the cache takes less, compiling takes more."""
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile `function` at its first call, strictly IEEE (no fused or reordered operations), without the GIL.
+
+    Strictness makes a row of a batch bit-equal to a single robot, and the kernels equal to their NumPy twins.
+    Kernels make no arrays and keep none, so they count no references to them (`_nrt`): counting is atomic,
+    and made two threads on the same arrays slower than one.
+    """
+    return njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile `function` into its callers, since numba can't return a tuple that holds a record."""
+    return njit(inline="always")(function)
+
+
+@contextmanager
+def compile_notice() -> Iterator[None]:
+    """Tell the user once, on stderr, if what runs inside takes long because kernels are being compiled."""
+
+    def say() -> None:
+        print("cyclic_env: compiling its kernels, once on this machine; about 20 s ...", file=sys.stderr, flush=True)
+
+    timer = threading.Timer(NOTICE_DELAY, say)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

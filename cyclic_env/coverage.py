@@ -1,0 +1,140 @@
+"""What the laser has seen of a building: the cells of free space that a beam has passed.
+
+A cell counts when its centre is in free space. A scan marks the cells that its true, noise-free beams pass
+through on their way to the wall (or to the end of the laser's reach); scans mark at the reset and at every
+further `scan_spacing` of path.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from cyclic_env.compiled import compiled
+from cyclic_env.config import CoverageConfig
+from cyclic_env.errors import FloorPlanError
+from cyclic_env.floor_plans import FloorPlan
+from cyclic_env.floor_plans.wall_tiles import GRID
+
+
+class CoverageGrid(NamedTuple):
+    """The cells of a pool of P plans, and which of them each of N robots has seen.
+
+    Attributes
+    ----------
+    cell_size : float
+    grids : (P,) GRID
+        The cells of each plan.
+    number : (cells,) int32
+        Each cell's place among the free cells of its plan; -1 where the centre is not free.
+    cells_total : (P,) int64
+        How many free cells each plan has.
+    seen : (N, most free cells) bool
+    """
+
+    cell_size: float
+    grids: np.ndarray
+    number: np.ndarray
+    cells_total: np.ndarray
+    seen: np.ndarray
+
+
+def build_coverage_grid(plans: Sequence[FloorPlan], num_robots: int, config: CoverageConfig) -> CoverageGrid:
+    """Divide the plans into cells, none of them seen yet.
+
+    Raises
+    ------
+    FloorPlanError
+        If a plan is so small that no cell's centre is free.
+    """
+    size = float(config.cell_size)
+    grids, numbers, first = [], [], 0
+    for plan in plans:
+        west, south, east, north = plan.bounds
+        columns, rows = math.ceil((east - west) / size), math.ceil((north - south) / size)
+        x, y = np.meshgrid(west + size * (np.arange(columns) + 0.5), south + size * (np.arange(rows) + 0.5))
+        shapely.prepare(plan.free_space)
+        free = shapely.contains_xy(plan.free_space, x.ravel(), y.ravel())
+        if not free.any():
+            raise FloorPlanError(
+                f"floor plan {plan.name!r} has no free cell of {size:g} m; make it larger or cell_size smaller."
+            )
+        grids.append((west, south, columns, rows, first))
+        numbers.append(np.where(free, np.cumsum(free) - 1, -1).astype(np.int32))
+        first += columns * rows
+    cells_total = np.array([number.max() + 1 for number in numbers], np.int64)
+    return CoverageGrid(
+        cell_size=size,
+        grids=np.array(grids, GRID),
+        number=np.concatenate(numbers),
+        cells_total=cells_total,
+        seen=np.zeros((num_robots, int(cells_total.max())), np.bool_),
+    )
+
+
+def seen_cells(grid: CoverageGrid, row: int, plan: int) -> np.ndarray:
+    """Return what a robot has seen as a picture `(rows, columns)` int8, south first: -1 not free, 0 unseen, 1 seen."""
+    _, _, columns, rows, first = grid.grids[plan]
+    number = grid.number[first : first + columns * rows]
+    return np.where(number < 0, -1, grid.seen[row][number]).astype(np.int8).reshape(rows, columns)
+
+
+@compiled
+def mark_scan(squares, size, number, seen, x, y, heading, directions, ranges):
+    """Mark the cells that the beams of a scan from (x, y, heading) pass through; return how many are new.
+
+    Parameters
+    ----------
+    squares : GRID record
+        The cells of the plan.
+    size : float
+        Side of a cell, metres.
+    number : (cells,) int32
+        As in `CoverageGrid`.
+    seen : (free cells,) bool
+        Of one robot; written to.
+    x, y, heading : float
+    directions : (2, >= num_beams) float64
+        Unit vectors of the beams in the robot's frame.
+    ranges : (num_beams,) float64
+        Where each beam ends, metres.
+    """
+    columns, rows, first = squares.columns, squares.rows, squares.first
+    cos, sin = math.cos(heading), math.sin(heading)
+    # In units of a cell, from the grid's corner.
+    start_x, start_y = (x - squares.west) / size, (y - squares.south) / size
+    start_column, start_row = int(start_x), int(start_y)
+    new = 0
+    for beam in range(ranges.shape[0]):
+        ux = cos * directions[0, beam] - sin * directions[1, beam]
+        uy = sin * directions[0, beam] + cos * directions[1, beam]
+        reach = ranges[beam] / size
+        # The beam enters the next column after next_x, and one more after every per_column (likewise rows).
+        column_step, row_step = (1 if ux > 0 else -1), (1 if uy > 0 else -1)
+        per_column = 1 / abs(ux) if ux != 0 else math.inf
+        per_row = 1 / abs(uy) if uy != 0 else math.inf
+        next_x = (
+            ((start_column + 1 - start_x) if ux > 0 else (start_x - start_column)) * per_column if ux != 0 else math.inf
+        )
+        next_y = ((start_row + 1 - start_y) if uy > 0 else (start_y - start_row)) * per_row if uy != 0 else math.inf
+        column, line = start_column, start_row
+        while 0 <= column < columns and 0 <= line < rows:
+            cell = number[first + line * columns + column]
+            if cell >= 0 and not seen[cell]:
+                seen[cell] = True
+                new += 1
+            if next_x < next_y:
+                if next_x >= reach:
+                    break
+                column += column_step
+                next_x += per_column
+            else:
+                if next_y >= reach:
+                    break
+                line += row_step
+                next_y += per_row
+    return new

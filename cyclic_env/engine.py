@@ -1,0 +1,591 @@
+"""One step of N robots: drive, measure, mark, judge, reward.
+
+This is the only implementation of the environment; `CyclicLoopEnv` is its face for one robot and
+`CyclicLoopVectorEnv` the one for many. A row of it is bit-equal to a single robot: nothing is shared
+between rows but the buildings, and the compiled code does no arithmetic across them.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import shapely
+
+from cyclic_env.compiled import compile_notice, compiled
+from cyclic_env.config import (
+    ACTION_TYPES,
+    ActionType,
+    ClosureConfig,
+    CoverageConfig,
+    LaserConfig,
+    NoiseConfig,
+    RewardConfig,
+    RobotConfig,
+    from_mapping,
+    noise_from_name,
+)
+from cyclic_env.coverage import CoverageGrid, build_coverage_grid, mark_scan, seen_cells
+from cyclic_env.errors import ActionError, ConfigError, FloorPlanError, unknown_name
+from cyclic_env.floor_plans import FloorPlan, MapName, load_floor_plans
+from cyclic_env.floor_plans.wall_tiles import WallTiles, build_wall_tiles
+from cyclic_env.laser import beam_directions, scan_row
+from cyclic_env.loop_closure import (
+    NEAREST,
+    NO_CLAIM,
+    ClosureMemory,
+    ClosureRules,
+    advance,
+    allocate_memory,
+    begin,
+    closure_rules,
+    ground_of,
+    judge_claim,
+    path_of,
+    settle_event,
+)
+from cyclic_env.rewards import REWARD_TERMS, reward_row, reward_weights
+from cyclic_env.sensors import Sensors
+from cyclic_env.simulation import Simulation, World
+
+TWIST_OMEGA_MAX = 3.0
+"""Turning rate of a full twist action, rad/s."""
+
+SPOT_TURN = 0.15
+"""Wheel speed of a discrete turn, as a share of full speed: 0.9 rad/s, 10 degrees a step."""
+
+DISCRETE_WHEELS = np.array([[0.0, 0.0], [1.0, 1.0], [-SPOT_TURN, SPOT_TURN], [SPOT_TURN, -SPOT_TURN], [-1.0, -1.0]])
+"""Wheel speeds, as shares of full speed, of the discrete drives: stop, forward, left, right, back."""
+
+BUDGET_LAPS = 3.0
+CORRIDOR_WIDTH = 2.0
+"""The step budget is enough to drive this many times through corridors of this width (metres) with the plan's area."""
+
+STEP_BUDGET_MAX = 10_000_000
+
+INFO = np.dtype(
+    [
+        ("is_success", "?"),
+        ("coverage", "f8"),
+        ("cycles_closed", "i8"),
+        ("cycles_total", "i8"),
+        ("revisit", "?"),
+        ("claim_judged", "?"),
+        ("claim_correct", "?"),
+        ("claim_error_m", "f8"),
+        ("claims", "i8"),
+        ("false_claims", "i8"),
+        ("revisits", "i8"),
+        ("revisits_recognised", "i8"),
+        ("precision", "f8"),
+        ("recall", "f8"),
+        ("new_cycle", "?"),
+        ("collisions", "i8"),
+        ("path_length_m", "f8"),
+        ("x", "f8"),
+        ("y", "f8"),
+        ("heading", "f8"),
+    ]
+)
+"""The flat part of an info, one record a robot; `reward_terms` comes beside it."""
+
+OUTCOME = np.dtype(
+    [
+        ("reward", "f8"),
+        ("terminated", "?"),
+        ("truncated", "?"),
+        ("contact", "?"),
+        ("cells_seen", "i8"),
+        ("cells_paid", "i8"),  # those of them that the reward has paid for
+    ]
+)
+"""What a step brought."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class EngineConfig:
+    """All settings of an environment, checked; made by `engine_config` from an environment's arguments."""
+
+    plans: tuple[FloorPlan, ...]
+    action_type: ActionType
+    random_start: bool
+    terminate_on_collision: bool
+    step_budget: int | None
+    robot: RobotConfig
+    laser: LaserConfig
+    noise: NoiseConfig
+    closure: ClosureConfig
+    coverage: CoverageConfig
+    reward: RewardConfig
+
+    def step_budget_of(self, plan: FloorPlan) -> int:
+        """Return after how many steps an episode in `plan` is truncated."""
+        if self.step_budget is not None:
+            return self.step_budget
+        return math.ceil(BUDGET_LAPS * plan.free_area / CORRIDOR_WIDTH / self.robot.advance_max)
+
+
+def engine_config(
+    *,
+    map_name: MapName | Sequence[MapName] = "killian_court",
+    noise: str | NoiseConfig | Mapping[str, Any] = "ideal",
+    action_type: ActionType = "wheels",
+    random_start: bool = False,
+    terminate_on_collision: bool = False,
+    step_budget: int | None = None,
+    robot: RobotConfig | Mapping[str, Any] | None = None,
+    laser: LaserConfig | Mapping[str, Any] | None = None,
+    closure: ClosureConfig | Mapping[str, Any] | None = None,
+    coverage: CoverageConfig | Mapping[str, Any] | None = None,
+    reward: RewardConfig | Mapping[str, Any] | None = None,
+) -> EngineConfig:
+    """Check the arguments that both environments take, and load their floor plans.
+
+    Raises
+    ------
+    ConfigError, FloorPlanError
+        One line that says what is wrong and what to do.
+    """
+    if action_type not in ACTION_TYPES:
+        raise ConfigError(unknown_name("action type", action_type, ACTION_TYPES))
+    for name, value in (("random_start", random_start), ("terminate_on_collision", terminate_on_collision)):
+        if not isinstance(value, bool | np.bool_):
+            raise ConfigError(f"{name} is {value!r}; expected True or False.")
+    if step_budget is not None and (
+        isinstance(step_budget, bool) or not isinstance(step_budget, int) or not 1 <= step_budget <= STEP_BUDGET_MAX
+    ):
+        raise ConfigError(
+            f"step_budget is {step_budget!r}; expected a whole number from 1 to {STEP_BUDGET_MAX}, or None."
+        )
+    config = EngineConfig(
+        plans=load_floor_plans(map_name),
+        action_type=action_type,
+        random_start=bool(random_start),
+        terminate_on_collision=bool(terminate_on_collision),
+        step_budget=step_budget,
+        robot=from_mapping(RobotConfig, robot),
+        laser=from_mapping(LaserConfig, laser),
+        noise=noise_from_name(noise),
+        closure=from_mapping(ClosureConfig, closure),
+        coverage=from_mapping(CoverageConfig, coverage),
+        reward=from_mapping(RewardConfig, reward),
+    )
+    for plan in config.plans:
+        if config.step_budget_of(plan) > STEP_BUDGET_MAX:
+            raise ConfigError(
+                f"floor plan {plan.name!r} is so large that its step budget is over {STEP_BUDGET_MAX}; give step_budget."
+            )
+    return config
+
+
+class Buildings(NamedTuple):
+    """What all robots share, as the compiled code takes it."""
+
+    tiles: WallTiles
+    directions: np.ndarray
+    range_max: float
+    scan_spacing: float
+    coverage_complete: float
+    rules: ClosureRules
+    weights: np.ndarray
+    step_budget: np.ndarray
+    terminate_on_collision: bool
+
+
+class Episodes(NamedTuple):
+    """What each of N robots has of its own, as the compiled code takes it."""
+
+    plan_of: np.ndarray
+    drive: np.ndarray
+    true_ranges: np.ndarray
+    scratch: np.ndarray
+    grid: CoverageGrid
+    memory: ClosureMemory
+    info: np.ndarray
+    terms: np.ndarray
+    outcome: np.ndarray
+
+
+class Engine:
+    """N robots in the buildings of a pool, stepped together.
+
+    Parameters
+    ----------
+    config : EngineConfig
+    num_robots : int
+
+    Attributes
+    ----------
+    info : (N,) array of `INFO`
+    terms : (N, 6) float64
+        Terms of the last step's reward, in the order of `REWARD_TERMS`.
+    outcome : (N,) array of `OUTCOME`
+    """
+
+    def __init__(self, config: EngineConfig, num_robots: int) -> None:
+        self.config = config
+        self.num_robots = num_robots
+        self._reachable = [plan.reachable(config.robot.radius) for plan in config.plans]
+        for area in self._reachable:
+            shapely.prepare(area)
+        step_budget = np.array([config.step_budget_of(plan) for plan in config.plans], np.int64)
+        cycles_total = np.array([plan.cycles_total for plan in config.plans], np.int64)
+        self.buildings = Buildings(
+            tiles=build_wall_tiles(config.plans, config.laser.range_max),
+            directions=beam_directions(config.laser),
+            range_max=float(config.laser.range_max),
+            scan_spacing=float(config.coverage.scan_spacing),
+            coverage_complete=float(config.coverage.complete),
+            rules=closure_rules(config.closure),
+            weights=reward_weights(config.reward, cycles_total, step_budget),
+            step_budget=step_budget,
+            terminate_on_collision=config.terminate_on_collision,
+        )
+        self.simulation = Simulation(config.robot, config.plans, num_robots)
+        self.sensors = Sensors(config.noise, config.laser, num_robots)
+        self.info = np.zeros(num_robots, INFO)
+        self.terms = np.zeros((num_robots, len(REWARD_TERMS)))
+        self.outcome = np.zeros(num_robots, OUTCOME)
+        self.episodes = Episodes(
+            plan_of=self.simulation.plan_of,
+            drive=self.simulation.drive,
+            true_ranges=self.sensors.true_ranges,
+            scratch=np.empty((num_robots, 2 * config.laser.num_beams)),
+            grid=build_coverage_grid(config.plans, num_robots, config.coverage),
+            memory=allocate_memory(config.plans, num_robots, int(step_budget.max()), config.closure),
+            info=self.info,
+            terms=self.terms,
+            outcome=self.outcome,
+        )
+        self._commands = np.zeros((num_robots, 2))
+        self._claimed = np.full(num_robots, NO_CLAIM, np.int64)
+        self._shares: list[tuple[list[World], np.ndarray]] = []
+        self._threads: ThreadPoolExecutor | None = None
+        self._warm = False
+
+    def reset_row(self, row: int, rng: np.random.Generator, start: Any = None) -> None:
+        """Begin an episode of one robot; draws from `rng` the plan, the start, and the sensors' errors.
+
+        Parameters
+        ----------
+        row : int
+        rng : Generator
+        start : (x, y, heading), optional
+            Metres and radians; by default the plan's own, or a random one with `random_start`.
+
+        Raises
+        ------
+        FloorPlanError
+            If the robot can't stand at `start`.
+        """
+        config = self.config
+        plan = int(rng.integers(len(config.plans))) if len(config.plans) > 1 else 0
+        if start is not None:
+            pose = self._checked_start(plan, start)
+        elif config.random_start:
+            pose = self._random_start(plan, rng)
+        else:
+            pose = config.plans[plan].start
+        pose = (float(pose[0]), float(pose[1]), wrap_angle(float(pose[2])))
+        self.simulation.place(row, plan, pose)
+        self._shares = []
+        self.sensors.reset_row(row, rng)
+        with compile_notice():
+            begin_episode(self.buildings, self.episodes, row, pose[0], pose[1], pose[2])
+
+    def measure(self, rows: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
+        """Take the sensors' readings of the robots `rows`."""
+        self.sensors.measure_rows(rows, self.simulation.drive, rngs)
+
+    def step(self, actions: Any, rngs: Sequence[np.random.Generator], skip: np.ndarray | None = None) -> None:
+        """Step all robots; afterwards `info`, `terms`, `outcome` and the readings are up to date.
+
+        Parameters
+        ----------
+        actions : (N, ...) array
+            As the action space of the configured type has them.
+        rngs : sequence of N Generators
+        skip : (N,) bool, optional
+            Robots that are about to be reset: they draw nothing, and nothing of theirs changes but where they stand.
+
+        Raises
+        ------
+        ActionError
+            If the actions have the wrong shape or type, or hold a NaN.
+        """
+        self._take_actions(actions)
+        if not self._shares:
+            self._shares = self._divide()
+        shares = self._shares
+        if skip is not None and skip.any():
+            shares = [(worlds, rows[~skip[rows]]) for worlds, rows in shares]
+        if self._warm:
+            self._step_shares(shares, rngs)
+        else:
+            with compile_notice():
+                self._step_shares(shares, rngs)
+            self._warm = True
+
+    def _step_shares(self, shares: list[tuple[list[World], np.ndarray]], rngs: Sequence[np.random.Generator]) -> None:
+        first, *others = shares
+        if others and self._threads is None:
+            self._threads = ThreadPoolExecutor(len(others), thread_name_prefix="cyclic_env")
+        pending = [self._threads.submit(self._step_share, *share, rngs) for share in others] if self._threads else []
+        self._step_share(*first, rngs)
+        for future in pending:
+            future.result()
+
+    def _step_share(self, worlds: list[World], rows: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
+        for world in worlds:
+            self.simulation.drive_world(world, self._commands)
+        step_rows(self.buildings, self.episodes, rows, self._claimed)
+        self.measure(rows, rngs)
+
+    def _divide(self) -> list[tuple[list[World], np.ndarray]]:
+        """Divide the Spaces, and the robots in them, among as many threads as there are cores."""
+        worlds = self.simulation.worlds
+        count = min(len(worlds), num_cores())
+        parts = [worlds[i::count] for i in range(count)]
+        return [(part, np.sort(np.concatenate([world.rows for world in part]))) for part in parts]
+
+    def _take_actions(self, actions: Any) -> None:
+        """Turn actions into wheel speeds and claimed steps."""
+        discrete = self.config.action_type == "discrete"
+        shape = (self.num_robots, 2 if discrete else 4)
+        try:
+            array = np.asarray(actions)
+            if discrete and array.dtype.kind not in "iu":
+                raise ActionError(f"a discrete action holds whole numbers, got an array of type {array.dtype}.")
+            array = array.astype(np.float64)
+        except (TypeError, ValueError) as error:
+            if isinstance(error, ActionError):
+                raise
+            raise ActionError(f"the action is not an array of numbers: {error}.") from error
+        if array.shape != shape:
+            raise ActionError(
+                f"the action has shape {array.shape[1:]}; expected {shape[1:]}, for {shape[0]} robots {shape}."
+            )
+        status, robot = self.episodes.memory.status, self.config.robot
+        if discrete:
+            bad = decode_discrete(array, robot.wheel_speed_max, DISCRETE_WHEELS, self._commands, self._claimed)
+            expected = f"a drive from 0 to {len(DISCRETE_WHEELS) - 1}, and 0 or 1 for the claim"
+        else:
+            twist = self.config.action_type == "twist"
+            bad = decode_continuous(
+                array, status, twist, robot.wheel_speed_max, robot.axle_track, self._commands, self._claimed
+            )
+            expected = "no NaN"
+        if bad >= 0:
+            raise ActionError(f"the action of robot {bad} is {array[bad].tolist()}; expected {expected}.")
+
+    def _checked_start(self, plan: int, start: Any) -> np.ndarray:
+        try:
+            pose = np.asarray(start, dtype=np.float64)
+        except (TypeError, ValueError) as error:
+            raise FloorPlanError(f"start is {start!r}; expected (x, y, heading) in metres and radians.") from error
+        if pose.shape != (3,) or not np.isfinite(pose).all():
+            raise FloorPlanError(f"start is {start!r}; expected (x, y, heading) in metres and radians, all finite.")
+        if not shapely.intersects_xy(self._reachable[plan], pose[0], pose[1]):
+            self.config.plans[plan].reachable(self.config.robot.radius, pose)  # raises, with the reason
+        return pose
+
+    def _random_start(self, plan: int, rng: np.random.Generator) -> tuple[float, float, float]:
+        west, south, east, north = self._reachable[plan].bounds
+        while True:
+            points = rng.uniform((west, south), (east, north), (64, 2))
+            inside = np.flatnonzero(shapely.contains_xy(self._reachable[plan], points[:, 0], points[:, 1]))
+            if len(inside):
+                x, y = points[inside[0]]
+                return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
+
+    def observation(self) -> dict[str, np.ndarray]:
+        """Return the last readings as new float32 arrays: laser `(N, num_beams)`, distance `(N, 1)`, compass `(N, 2)`."""
+        return {
+            "laser": self.sensors.ranges.astype(np.float32),
+            "distance": self.sensors.distance[:, None].astype(np.float32),
+            "compass": self.sensors.compass.astype(np.float32),
+        }
+
+    def trajectory(self, row: int) -> np.ndarray:
+        """Return the true way of a robot since its reset, `(t + 1, 3)`: x, y and path length, metres."""
+        memory = self.episodes.memory
+        return memory.track[row, : memory.status["steps"][row] + 1].copy()
+
+    def seen_cells(self, row: int) -> np.ndarray:
+        """Return what a robot has seen of its plan; see `cyclic_env.coverage.seen_cells`."""
+        return seen_cells(self.episodes.grid, row, int(self.simulation.plan_of[row]))
+
+    def is_placed(self, row: int) -> bool:
+        """Tell whether a robot has begun an episode."""
+        return bool(self.simulation.plan_of[row] >= 0)
+
+    def plan(self, row: int) -> FloorPlan:
+        """Return the floor plan in which a robot is."""
+        return self.config.plans[self.simulation.plan_of[row]]
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._threads is not None:
+            self._threads.shutdown()
+            self._threads = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        # The spaces hold the robots' rows and the threads are a process's own: both are made anew when needed.
+        return {**self.__dict__, "_shares": [], "_threads": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        # Arrays that several owners share come back as copies of their own from some kinds of copying.
+        simulation, sensors = self.simulation, self.sensors
+        self.episodes = self.episodes._replace(
+            plan_of=simulation.plan_of,
+            drive=simulation.drive,
+            true_ranges=sensors.true_ranges,
+            info=self.info,
+            terms=self.terms,
+            outcome=self.outcome,
+        )
+
+
+def num_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@compiled
+def wrap_angle(angle):
+    """Return the angle in (-pi, pi] that differs from `angle` by whole turns."""
+    wrapped = angle - 2 * math.pi * math.ceil((angle - math.pi) / (2 * math.pi))
+    return min(max(wrapped, -math.pi), math.pi)
+
+
+@compiled
+def decode_continuous(actions, status, twist, wheel_speed_max, axle_track, commands, claimed):
+    """Turn actions `(N, 4)` into wheel speeds `(N, 2)` and claimed steps `(N,)`; return a row with a NaN, or -1."""
+    for row in range(actions.shape[0]):
+        action = actions[row]
+        for value in action:
+            if math.isnan(value):
+                return row
+        first, second = min(max(action[0], -1.0), 1.0), min(max(action[1], -1.0), 1.0)
+        if twist:
+            speed, swing = first * wheel_speed_max, 0.5 * axle_track * second * TWIST_OMEGA_MAX
+            excess = max(1.0, max(abs(speed - swing), abs(speed + swing)) / wheel_speed_max)
+            commands[row, 0], commands[row, 1] = (speed - swing) / excess, (speed + swing) / excess
+        else:
+            commands[row, 0], commands[row, 1] = first * wheel_speed_max, second * wheel_speed_max
+        claimed[row] = NO_CLAIM
+        if action[2] > 0:
+            match = min(max(action[3], -1.0), 1.0)
+            claimed[row] = int(np.rint((match + 1) / 2 * (status[row].steps + 1)))
+    return -1
+
+
+@compiled
+def decode_discrete(actions, wheel_speed_max, wheels, commands, claimed):
+    """Turn actions `(N, 2)` into wheel speeds `(N, 2)` and claims `(N,)`; return a row out of range, or -1."""
+    for row in range(actions.shape[0]):
+        drive, claim = int(actions[row, 0]), int(actions[row, 1])
+        if not (0 <= drive < wheels.shape[0] and 0 <= claim <= 1):
+            return row
+        commands[row, 0], commands[row, 1] = wheels[drive, 0] * wheel_speed_max, wheels[drive, 1] * wheel_speed_max
+        claimed[row] = NEAREST if claim else NO_CLAIM
+    return -1
+
+
+@compiled
+def begin_episode(buildings, episodes, row, x, y, heading):
+    """Forget the robot's last episode; take, and mark, the scan of the start."""
+    plan, ranges, grid = episodes.plan_of[row], episodes.true_ranges[row], episodes.grid
+    path = path_of(episodes.memory, row)
+    begin(path, ground_of(episodes.memory, plan), x, y)
+    scan_row(
+        buildings.tiles, plan, x, y, heading, buildings.directions, buildings.range_max, episodes.scratch[row], ranges
+    )
+    grid.seen[row] = False
+    outcome = episodes.outcome[row]
+    outcome.reward, outcome.terminated, outcome.truncated, outcome.contact = 0.0, False, False, False
+    outcome.cells_paid = 0
+    outcome.cells_seen = mark_scan(
+        grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, buildings.directions, ranges
+    )
+    episodes.terms[row] = 0.0
+    info = episodes.info[row]
+    info.collisions = 0
+    info.cycles_total = episodes.memory.cycles_total[plan]
+    report(info, path.status, outcome.cells_seen / grid.cells_total[plan], buildings.coverage_complete, x, y, heading)
+
+
+@compiled
+def step_rows(buildings, episodes, rows, claimed):
+    """Scan, mark, judge and reward the step that the robots `rows` have just driven."""
+    grid, rules, directions = episodes.grid, buildings.rules, buildings.directions
+    for row in rows:
+        plan, robot, ranges = episodes.plan_of[row], episodes.drive[row], episodes.true_ranges[row]
+        outcome, info = episodes.outcome[row], episodes.info[row]
+        path, ground = path_of(episodes.memory, row), ground_of(episodes.memory, plan)
+        status = path.status
+        x, y, heading = robot.x, robot.y, wrap_angle(robot.angle)
+        scan_row(buildings.tiles, plan, x, y, heading, directions, buildings.range_max, episodes.scratch[row], ranges)
+
+        path_before, false_before = status.path, status.false_claims
+        advance(path, ground, rules, x, y)
+        if passed_mark(path_before, status.path, buildings.scan_spacing):
+            outcome.cells_seen += mark_scan(
+                grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, directions, ranges
+            )
+        judge_claim(path, ground, rules, claimed[row])
+        if robot.contact and not outcome.contact:
+            info.collisions += 1
+        outcome.contact = robot.contact
+
+        cells_total = grid.cells_total[plan]
+        report(info, status, outcome.cells_seen / cells_total, buildings.coverage_complete, x, y, heading)
+        outcome.terminated = info.is_success or (buildings.terminate_on_collision and robot.contact)
+        outcome.truncated = status.steps >= buildings.step_budget[plan] and not outcome.terminated
+        if outcome.terminated or outcome.truncated:
+            settle_event(status, rules)
+            report(info, status, outcome.cells_seen / cells_total, buildings.coverage_complete, x, y, heading)
+        outcome.reward = reward_row(
+            buildings.weights[plan],
+            (outcome.cells_seen - outcome.cells_paid) / cells_total,
+            status.new_cycle,
+            status.false_claims - false_before,
+            status.missed_now,
+            robot.contact,
+            episodes.terms[row],
+        )
+        outcome.cells_paid = outcome.cells_seen
+
+
+@compiled
+def passed_mark(before, after, spacing):
+    """Tell whether a path that grew from `before` to `after` passed a multiple of `spacing`; always, if that is 0."""
+    return spacing == 0 or math.floor(after / spacing) > math.floor(before / spacing)
+
+
+@compiled
+def report(info, status, share_seen, share_complete, x, y, heading):
+    """Fill the robot's info but for what never changes in an episode and the count of its collisions."""
+    info.is_success = share_seen >= share_complete and status.cycles_closed == info.cycles_total
+    info.coverage = share_seen
+    info.cycles_closed = status.cycles_closed
+    info.revisit = status.revisit
+    info.claim_judged = status.claim_judged
+    info.claim_correct = status.claim_correct
+    info.claim_error_m = status.claim_error
+    info.claims = status.claims
+    info.false_claims = status.false_claims
+    info.revisits = status.revisits
+    info.revisits_recognised = status.recognised
+    judged = status.recognised + status.false_claims
+    info.precision = status.recognised / judged if judged > 0 else 1.0
+    info.recall = status.recognised / status.revisits if status.revisits > 0 else 1.0
+    info.new_cycle = status.new_cycle
+    info.path_length_m = status.path
+    info.x, info.y, info.heading = x, y, heading

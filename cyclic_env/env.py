@@ -1,0 +1,228 @@
+"""`CyclicLoopEnv`: the environment for one robot, as Gymnasium knows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+
+from cyclic_env.engine import INFO, Engine, engine_config
+from cyclic_env.errors import ConfigError, UsageError, unknown_name
+from cyclic_env.floor_plans import FloorPlan, MapName
+from cyclic_env.rewards import REWARD_TERMS
+from cyclic_env.spaces import action_space, observation_space
+
+RENDER_MODES = ("human", "rgb_array")
+
+
+class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
+    """A robot explores a building full of loops, and must say when it is back at a place that it knows, and at which one.
+
+    The robot has two wheels, a laser, a distance meter and a compass. Corridors close on themselves: a *cycle*
+    is a block of the building that the robot can drive around. At every step the robot may claim to be back where
+    it was some steps ago. The claim is judged against the truth, and closes a cycle when the loop that it
+    completes goes around the building in a way that none before did. An episode succeeds when the building is
+    seen and all of its cycles are closed.
+
+    **Action space**, by `action_type`:
+
+    | type | space | meaning |
+    |---|---|---|
+    | ``"wheels"`` (default) | ``Box(-1, 1, (4,), float32)`` | left wheel, right wheel (shares of 1.2 m/s), claim, match |
+    | ``"twist"`` | ``Box(-1, 1, (4,), float32)`` | v (x 1.2 m/s), omega (x 3 rad/s), claim, match; v and omega shrink together at the wheels' limit |
+    | ``"discrete"`` | ``MultiDiscrete([5, 2])`` | stop, forward, left, right (turns on the spot, 0.9 rad/s) or back; claim or not |
+
+    A claim above 0 says "I am back at a known place", and match says when the robot was here: at step
+    ``k = rint((match + 1) / 2 * t)`` of the t steps so far, this one counted; k = 0 is the start. With discrete
+    actions the environment itself takes the nearest step that counts as the same place. Values out of range are clipped.
+
+    **Observation space**, a ``Dict`` of float32:
+
+    | key | space | meaning |
+    |---|---|---|
+    | ``laser`` | ``Box(0, 12, (180,))`` | ranges in metres, beam 0 straight ahead, counter-clockwise, 2 degrees apart |
+    | ``distance`` | ``Box(-1e5, 1e5, (1,))`` | metres driven along the heading since the reset; reverse subtracts, spinning wheels add nothing |
+    | ``compass`` | ``Box(-1, 1, (2,))`` | unit vector of the heading, east and north |
+
+    Dead reckoning is ``position += (distance - previous_distance) * compass``.
+
+    **Reward**: the sum of ``info["reward_terms"]``; a perfect episode is worth 100 less its time.
+
+    | term | worth |
+    |---|---|
+    | ``coverage`` | 50 x share of the free cells newly seen (100 where the building has no cycle); the start's scan is paid in step 1 |
+    | ``new_cycle`` | 50 / cycles of the building, for each one closed |
+    | ``false_claim`` | -5 for each |
+    | ``missed_revisit`` | -1 for each stretch of known ground that the robot passed without a correct claim |
+    | ``collision`` | -40 / step budget, for each step in which a wall pushed back |
+    | ``time`` | -10 / step budget, for each step |
+
+    **Info** holds the same keys at every reset and step, Python scalars all but the last: ``is_success``,
+    ``coverage`` (share of the free cells seen), ``cycles_closed``, ``cycles_total``, ``revisit`` (the truth at this step),
+    ``claim_judged``, ``claim_correct``, ``claim_error_m`` (distance between the two places of a judged claim; 0.0 without
+    one), ``claims`` (judged so far), ``false_claims``, ``revisits`` (settled so far), ``revisits_recognised``,
+    ``precision``, ``recall`` (1.0 where nothing could be wrong), ``new_cycle``, ``collisions`` (contacts begun),
+    ``path_length_m``, ``x``, ``y``, ``heading`` (the truth), ``reward_terms`` (dict of floats).
+    What a revisit, a claim and a cycle are is defined in `cyclic_env.loop_closure`.
+
+    **Start**: the plan's own, at rest; or ``reset(options={"start": (x, y, heading)})``; or random with `random_start`.
+
+    **Episode end**: terminated when 99 % of the cells are seen and all cycles are closed (``is_success``), or at the first
+    contact with ``terminate_on_collision=True``; truncated after `step_budget` steps.
+
+    Parameters
+    ----------
+    map_name : str, path, FloorPlan, or a list of these
+        A shipped plan (``cyclic_env.map_names()``), a YAML file, or a plan itself. A list is a pool: every reset draws one.
+    noise : str, NoiseConfig or mapping
+        Preset of the sensors' errors: ``"ideal"``, ``"calibrated"``, ``"typical"``, ``"poor"``; or your own.
+    action_type : {"wheels", "twist", "discrete"}
+    random_start : bool
+        Draw the start anywhere that the robot can reach.
+    terminate_on_collision : bool
+    step_budget : int, optional
+        By default three times the steps that it takes to drive through corridors 2 m wide with the plan's area.
+    robot, laser, closure, coverage, reward : settings or mapping, optional
+        See `cyclic_env.config`.
+    render_mode : {"human", "rgb_array"}, optional
+
+    Raises
+    ------
+    ConfigError, FloorPlanError, ActionError, UsageError
+        All of them `CyclicLoopError`: one line that says what is wrong and what to do.
+
+    Version history
+    ---------------
+    v0: the first.
+
+    References
+    ----------
+    A. R. Abdulnabi and M. F. Esmail, Automatic mapping and localization in large-scale cyclic using K-nearest
+    neighbours, 2022.
+    M. Bosse, P. Newman, J. Leonard and S. Teller, Simultaneous localization and map building in large-scale
+    cyclic environments using the Atlas framework, IJRR 23(12), 2004.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 5}
+
+    def __init__(
+        self,
+        map_name: MapName | Sequence[MapName] = "killian_court",
+        *,
+        render_mode: str | None = None,
+        **settings: Any,
+    ) -> None:
+        if render_mode is not None and render_mode not in RENDER_MODES:
+            raise ConfigError(unknown_name("render mode", render_mode, RENDER_MODES))
+        self.engine = Engine(engine_config(map_name=map_name, **settings), num_robots=1)
+        self.action_space = action_space(self.engine.config.action_type)
+        self.observation_space = observation_space(self.engine.config.laser)
+        self.render_mode = render_mode
+        self._running = False
+        self._renderer: Any = None
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin an episode.
+
+        Parameters
+        ----------
+        seed : int, optional
+            Seeds all randomness from here on.
+        options : dict, optional
+            ``{"start": (x, y, heading)}`` in metres and radians.
+        """
+        super().reset(seed=seed)
+        start = start_option(options)
+        self.engine.reset_row(0, self.np_random, start)
+        self.engine.measure(np.zeros(1, np.int64), [self.np_random])
+        self._running = True
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(), self._info()
+
+    def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
+        """Drive for 0.2 s, and make a claim or none."""
+        if not self._running:
+            raise UsageError(
+                "step() needs a running episode: call reset() first, and again after an episode has ended."
+            )
+        self.engine.step(np.asarray(action)[None], [self.np_random])
+        reward, terminated, truncated, *_ = self.engine.outcome[0].item()
+        self._running = not (terminated or truncated)
+        if self.render_mode == "human":
+            self.render()
+        return self._observation(), reward, terminated, truncated, self._info()
+
+    def _observation(self) -> dict[str, np.ndarray]:
+        return {name: value[0] for name, value in self.engine.observation().items()}
+
+    def _info(self) -> dict[str, Any]:
+        info = dict(zip(INFO.names or (), self.engine.info[0].item(), strict=True))
+        info["reward_terms"] = dict(zip(REWARD_TERMS, self.engine.terms[0].tolist(), strict=True))
+        return info
+
+    @property
+    def floor_plan(self) -> FloorPlan:
+        """The building of the running episode."""
+        return self.engine.plan(0)
+
+    @property
+    def step_budget(self) -> int:
+        """After how many steps the running episode is truncated."""
+        return self.engine.config.step_budget_of(self.floor_plan)
+
+    def trajectory(self) -> np.ndarray:
+        """Return the true way since the reset, `(t + 1, 3)`: x, y and path length, metres."""
+        return self.engine.trajectory(0)
+
+    def seen_cells(self) -> np.ndarray:
+        """Return what has been seen as a picture `(rows, columns)` int8, south first: -1 not free, 0 unseen, 1 seen."""
+        return self.engine.seen_cells(0)
+
+    def render(self) -> Any:
+        """Draw the building, what has been seen, the robot, its beams, its path, and its claims.
+
+        Returns
+        -------
+        (height, width, 3) uint8 array with ``render_mode="rgb_array"``; None with ``"human"``, which shows a window.
+        """
+        if self.render_mode is None:
+            gymnasium.logger.warn(
+                'render() does nothing without a render_mode; make the env with render_mode="rgb_array".'
+            )
+            return None
+        if not self.engine.is_placed(0):
+            raise UsageError("render() needs an episode: call reset() first.")
+        if self._renderer is None:
+            from cyclic_env.rendering import Renderer
+
+            self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
+        return self._renderer.draw(self.engine, 0)
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+        self.engine.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_renderer": None}
+
+
+def start_option(options: dict[str, Any] | None, *known: str) -> Any:
+    """Return the start that the options of a reset name, or None.
+
+    Raises
+    ------
+    ConfigError
+        If they hold anything but a start and the other `known` options.
+    """
+    for name in options or {}:
+        if name not in ("start", *known):
+            raise ConfigError(unknown_name("reset option", name, ("start", *known)))
+    return (options or {}).get("start")

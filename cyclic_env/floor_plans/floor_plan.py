@@ -1,0 +1,279 @@
+"""The floor plan of a building: its free space, the start, and the cycles to be closed."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+import shapely
+from shapely.geometry import LinearRing, Point, Polygon
+from shapely.geometry.polygon import orient
+from shapely.ops import nearest_points
+from shapely.validation import explain_validity
+
+from cyclic_env.errors import FloorPlanError
+
+MIN_CYCLE_LENGTH = 40.0
+"""Length in metres from which the ring of a hole is a cycle: twice the path that a closure needs, so that a
+lap is long enough to count, and pillars and tables are not."""
+
+NOOK_AREA = 1.0
+"""Square metres that the robot's body may miss at one place: nooks and sharp corners, which the laser sees."""
+
+LOST_SHARE_MAX = 0.02
+"""Share of the free space that may lie in larger places out of the robot's way: coverage needs nearly all seen."""
+
+RESOLUTION = 1e-6
+"""Points nearer than this, metres, are one: a thousand times finer than any survey, far coarser than rounding."""
+
+Pose = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class FloorPlan:
+    """Free space of a building as a polygon with holes, x east and y north, in metres.
+
+    Parameters
+    ----------
+    name : str
+        Short name, unique in a pool of plans.
+    free_space : shapely Polygon
+        Where a point robot may be. Must be valid; is oriented so that free space lies left of every wall.
+    start : (x, y, heading)
+        Default start pose, metres and radians.
+    title, source, licence : str
+        For people: what it is and why it is there, where it comes from, what may be done with it.
+    centrelines : sequence of sequences of (x, y)
+        Middles of the corridors, where known, as polylines that meet or cross where corridors do.
+    file : str
+        The file it was read from, if any; named in messages.
+
+    Raises
+    ------
+    FloorPlanError
+        If the polygon is empty, crosses itself, or the start is not inside it.
+    """
+
+    name: str
+    free_space: Polygon
+    start: Pose
+    title: str = ""
+    source: str = ""
+    licence: str = ""
+    centrelines: tuple[tuple[tuple[float, float], ...], ...] = field(default=())
+    file: str = ""
+
+    def __post_init__(self) -> None:
+        polygon = self.free_space
+        if isinstance(polygon, Polygon):
+            # A point given twice would be a wall without a direction, a height a third column.
+            polygon = shapely.remove_repeated_points(shapely.force_2d(polygon), RESOLUTION)
+        if not isinstance(polygon, Polygon) or polygon.is_empty:
+            raise FloorPlanError(f"{self._label}: the free space must be one polygon that is not empty.")
+        if not polygon.is_valid:
+            raise FloorPlanError(
+                f"{self._label}: the free space is not a proper polygon ({explain_validity(polygon)}); "
+                "no wall may cross another, and holes must lie inside."
+            )
+        object.__setattr__(self, "free_space", orient(polygon, 1.0))
+        try:
+            x, y, heading = (float(value) for value in self.start)
+        except (TypeError, ValueError):
+            x = y = heading = math.nan
+        if not all(map(math.isfinite, (x, y, heading))):
+            raise FloorPlanError(f"{self._label}: start must be finite (x, y, heading), got {self.start!r}.")
+        object.__setattr__(self, "start", (x, y, heading))
+        self._check_inside(x, y)
+
+    @property
+    def _label(self) -> str:
+        return self.file or f"floor plan {self.name!r}"
+
+    def _check_inside(self, x: float, y: float) -> None:
+        if not self.free_space.contains(Point(x, y)):
+            inside = self.free_space.representative_point()
+            raise FloorPlanError(
+                f"{self._label}: start ({x:g}, {y:g}) is inside a wall or outside the building; "
+                f"choose a point in free space, for example ({inside.x:.1f}, {inside.y:.1f})."
+            )
+
+    @cached_property
+    def rings(self) -> list[np.ndarray]:
+        """Exterior and holes, each `(n, 2)` without the closing point; free space lies on the left."""
+        polygon = self.free_space
+        return [np.array(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
+
+    @cached_property
+    def walls(self) -> np.ndarray:
+        """All walls as directed segments `(W, 4)`: x1, y1, x2, y2; free space lies on the left."""
+        return np.concatenate([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in self.rings])
+
+    @cached_property
+    def cycles(self) -> list[Polygon]:
+        """The holes that the robot can drive around in a lap long enough to count, largest first."""
+        holes = [Polygon(ring) for ring in self.free_space.interiors if ring.length >= MIN_CYCLE_LENGTH]
+        return sorted(holes, key=lambda hole: -hole.exterior.length)
+
+    @cached_property
+    def cycle_anchors(self) -> np.ndarray:
+        """A point well inside the hole of each cycle, `(C, 2)`: winding numbers are counted about these."""
+        points = [hole.representative_point() for hole in self.cycles]
+        return np.array([[point.x, point.y] for point in points]).reshape(-1, 2)
+
+    @property
+    def cycles_total(self) -> int:
+        """How many independent cycles there are to close."""
+        return len(self.cycles)
+
+    @property
+    def free_area(self) -> float:
+        """Area of the free space, square metres."""
+        return self.free_space.area
+
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east and north end of the free space, metres."""
+        return self.free_space.bounds
+
+    def reachable(self, radius: float, position: Sequence[float] | None = None) -> Polygon:
+        """Return where the centre of a round robot of that radius can get from `position` (default: the start).
+
+        Raises
+        ------
+        FloorPlanError
+            If the robot does not fit at `position`, or `position` lies in a pocket that it can't leave, or
+            it can't drive around every cycle or reach nearly all of the building: each with a place to mend.
+        """
+        x, y = (self.start if position is None else position)[:2]
+        self._check_inside(x, y)
+        point = Point(x, y)
+        what = f"{self._label}: start ({x:g}, {y:g})"
+        parts = [part for part in shapely.get_parts(self.free_space.buffer(-radius)) if not part.is_empty]
+        if not parts:
+            raise FloorPlanError(f"{self._label}: a robot of radius {radius:g} m fits nowhere; are the units metres?")
+        home = next((part for part in parts if part.covers(point)), None)
+        if home is None:
+            clearance = self.free_space.boundary.distance(point)
+            free = min((nearest_points(part, point)[0] for part in parts), key=point.distance)
+            raise FloorPlanError(
+                f"{what} is {clearance:.2f} m from a wall, but the robot's radius is {radius:g} m; "
+                f"move it off the wall, for example to ({free.x:.1f}, {free.y:.1f})."
+            )
+        largest = max(parts, key=lambda part: part.area)
+        if home is not largest:
+            inside = largest.representative_point()
+            raise FloorPlanError(
+                f"{what} lies in a pocket of {home.area:.1f} m2 that a robot of radius {radius:g} m can't leave; "
+                f"start elsewhere, for example at ({inside.x:.1f}, {inside.y:.1f})."
+            )
+        self._check_passable(home, radius)
+        return home
+
+    def _check_passable(self, home: Polygon, radius: float) -> None:
+        """Raise unless a robot whose centre stays in `home` can lap each cycle alone and come nearly everywhere."""
+        swept = home.buffer(radius * 1.01, join_style="mitre")
+        lost = [part for part in shapely.get_parts(self.free_space.difference(swept)) if part.area > NOOK_AREA]
+        laps = [Polygon(ring) for ring in home.interiors]
+        for hole in self.cycles:
+            lap = next((lap for lap in laps if lap.contains(hole.representative_point())), None)
+            if lap is None:  # shut off by the outer wall, or in one lap with the hole of another cycle
+                near = (min(lost, key=hole.distance) if lost else hole).representative_point()
+                raise FloorPlanError(
+                    f"{self._label}: a corridor is too narrow for a robot of radius {radius:g} m to drive around the "
+                    f"cycle of {hole.exterior.length:.0f} m alone; widen it near ({near.x:.1f}, {near.y:.1f}), "
+                    "or fill the hole."
+                )
+            laps.remove(lap)
+        if sum(part.area for part in lost) > LOST_SHARE_MAX * self.free_area:
+            worst = max(lost, key=lambda part: part.area)
+            inside = worst.representative_point()
+            raise FloorPlanError(
+                f"{self._label}: a corridor is too narrow for a robot of radius {radius:g} m: it can't reach "
+                f"{worst.area:.1f} m2 around ({inside.x:.1f}, {inside.y:.1f}); widen the way there or wall it off."
+            )
+
+    def closed_tour_bound(self) -> float:
+        """Total length of the centrelines, metres; 0 where they are not known. No tour of all corridors is shorter."""
+        return float(
+            sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in map(np.array, self.centrelines))
+        )
+
+
+def polygon_from_rings(
+    exterior: Sequence[Sequence[float]], holes: Sequence[Sequence[Sequence[float]]] = (), key: str = "exterior"
+) -> Polygon:
+    """Return the polygon of an outer ring and the rings of its holes, each a list of (x, y).
+
+    The order of a ring's points does not matter, nor whether the first is given again as the last. `key` is what
+    messages call the outer ring.
+
+    Raises
+    ------
+    FloorPlanError
+        If a ring has fewer than three different points, or crosses itself, another ring, or the exterior.
+    """
+    for label, ring in [(key, exterior), *((f"holes[{i}]", hole) for i, hole in enumerate(holes))]:
+        different = len({tuple(point) for point in ring})
+        if different < 3:
+            raise FloorPlanError(f"{label}: a ring needs at least 3 different points, got {different}.")
+        outline = Polygon(ring)
+        if not outline.is_valid:
+            place = explain_validity(outline)
+            raise FloorPlanError(f"{label}: the ring crosses or touches itself ({place}); list its corners in order.")
+    polygon = Polygon(exterior, holes)
+    if not polygon.is_valid:
+        raise FloorPlanError(f"{_misplaced_hole(Polygon(exterior), holes)} ({explain_validity(polygon)}).")
+    return polygon
+
+
+def _misplaced_hole(outer: Polygon, holes: Sequence[Sequence[Sequence[float]]]) -> str:
+    """Say which hole makes the building invalid, and how to mend it."""
+    inner = [Polygon(hole) for hole in holes]
+    for i, hole in enumerate(inner):
+        if not outer.contains(hole) or outer.exterior.intersection(hole.exterior).length > 0:
+            return (
+                f"holes[{i}]: reaches out of the exterior or lies along it; move it inside or cut it from the exterior"
+            )
+    for i, hole in enumerate(inner):
+        for j, other in enumerate(inner[:i]):
+            if hole.intersection(other).length > 0:
+                return f"holes[{i}]: overlaps holes[{j}] or has a wall in common with it; merge them into one ring"
+    return (
+        "holes: they cut the building into parts that touch in points only; leave a corridor between them and the walls"
+    )
+
+
+def polygon_from_corridors(
+    corridors: Sequence[tuple[float, Sequence[Sequence[float]]]],
+    rooms: Sequence[Sequence[Sequence[float]]] = (),
+) -> Polygon:
+    """Return the free space of corridors given by width and centreline, together with rooms given as rings.
+
+    A centreline whose ends meet is a closed loop; any other ends half a width beyond its last point, so that
+    corridors that meet at a point join without a notch.
+
+    Raises
+    ------
+    FloorPlanError
+        If a centreline has fewer than two points or no length, or the parts are not all connected.
+    """
+    parts: list[shapely.Geometry] = []
+    for i, (width, line) in enumerate(corridors):
+        if len(line) < 2 or all(tuple(point) == tuple(line[0]) for point in line):
+            raise FloorPlanError(f"corridors[{i}].line: a centreline needs at least 2 different points.")
+        closed = len(line) > 3 and tuple(line[0]) == tuple(line[-1])
+        geometry = LinearRing(line) if closed else shapely.LineString(line)
+        parts.append(geometry.buffer(width / 2, cap_style="square", join_style="mitre"))
+    parts.extend(polygon_from_rings(room, key=f"rooms[{i}]") for i, room in enumerate(rooms))
+    union = shapely.set_precision(shapely.union_all(parts), RESOLUTION).simplify(RESOLUTION)
+    if union.is_empty:
+        raise FloorPlanError("the corridors and rooms have no area; are their widths in metres?")
+    if not isinstance(union, Polygon):
+        where = ", ".join(f"({p.centroid.x:.1f}, {p.centroid.y:.1f})" for p in shapely.get_parts(union)[:4])
+        raise FloorPlanError(
+            f"the corridors and rooms are not connected: separate parts around {where}; join them by a corridor."
+        )
+    return union

@@ -1,0 +1,80 @@
+"""The floor plans that come with the package, and how a map's name or path becomes a plan."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+
+from cyclic_env.errors import FloorPlanError, unknown_name
+from cyclic_env.floor_plans.files import read_floor_plan
+from cyclic_env.floor_plans.floor_plan import FloorPlan
+
+MapName = str | os.PathLike[str] | FloorPlan
+
+
+def maps_folder() -> Path:
+    """Return the folder of the shipped plans: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parents[1]
+    for folder in (package / "maps", package.parent / "maps"):
+        if (folder / "killian_court.yaml").is_file():
+            return folder
+    raise FloorPlanError(
+        f"the shipped maps are missing: neither {package / 'maps'} nor {package.parent / 'maps'} has them."
+    )
+
+
+def map_names() -> list[str]:
+    """Return the names of the shipped plans, sorted."""
+    return sorted(path.stem for path in maps_folder().glob("*.yaml"))
+
+
+@lru_cache(maxsize=64)
+def _shipped(name: str) -> FloorPlan:
+    return read_floor_plan(maps_folder() / f"{name}.yaml")
+
+
+def load_floor_plan(map_name: MapName) -> FloorPlan:
+    """Return the floor plan of a shipped name, of a YAML file, or the given plan itself.
+
+    Raises
+    ------
+    FloorPlanError
+        If the name is unknown (the message has the nearest), or the file is missing or malformed.
+    """
+    if isinstance(map_name, FloorPlan):
+        return map_name
+    if not isinstance(map_name, str | os.PathLike):
+        raise FloorPlanError(f"a map is a name, a path or a FloorPlan; got {type(map_name).__name__}.")
+    text = os.fsdecode(map_name)
+    names = map_names()
+    if text in names:
+        return _shipped(text)
+    path = os.path.expanduser(text)
+    if os.path.isfile(path):
+        return read_floor_plan(path)
+    if os.path.isdir(path):
+        raise FloorPlanError(f"{text!r} is a folder, not a floor plan file; name a YAML file in it.")
+    if Path(text).suffix or os.sep in text:
+        raise FloorPlanError(
+            f"there is no floor plan file {text!r}; give a path that exists or one of: {', '.join(names)}."
+        )
+    raise FloorPlanError(unknown_name("map", text, names))
+
+
+def load_floor_plans(map_name: MapName | Sequence[MapName]) -> tuple[FloorPlan, ...]:
+    """Return the plans of one map or of a pool of maps.
+
+    Raises
+    ------
+    FloorPlanError
+        If the pool is empty, or a plan can't be loaded.
+    """
+    if isinstance(map_name, str | os.PathLike | FloorPlan):
+        return (load_floor_plan(map_name),)
+    if not isinstance(map_name, Sequence) or not map_name:
+        raise FloorPlanError(
+            f"a map is a name, a path, a FloorPlan, or a list of these that is not empty; got {map_name!r}."
+        )
+    return tuple(load_floor_plan(name) for name in map_name)

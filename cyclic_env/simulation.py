@@ -1,0 +1,296 @@
+"""The physics: N robots that drive in walled buildings, and nothing of what they sense or earn.
+
+Robots of one floor plan share a pymunk Space; they pass through each other and collide with walls only.
+A Space holds at most `WORLD_SIZE` of them, since robots at the same spot cost pymunk time in pairs. Bodies
+are read and written all at once, as `pymunk.batch` does it, which may change in any release of pymunk:
+so pymunk is pinned tightly and used here and nowhere else.
+
+Wheels act as a force and a torque before each substep, so that the contact solver has the last word.
+pymunk is not deterministic after a reset by itself: a body moved back in its Space keeps the contacts
+of its last episode. So a row that is placed anew gets a new body and a new shape.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pymunk
+from pymunk._chipmunk_cffi import ffi, lib
+from pymunk.batch import BodyFields, Buffer, get_space_bodies
+
+from cyclic_env.compiled import compiled
+from cyclic_env.config import RobotConfig
+from cyclic_env.floor_plans import FloorPlan
+
+WORLD_SIZE = 32
+"""Most robots in one Space; measured: fewer cost calls, more cost pairs while they stand at the same start."""
+
+COLLISION_SLOP = 0.001
+"""Metres of overlap that the contact solver leaves, so that a contact at rest does not flicker."""
+
+PUSH = 1e-6
+"""Metres a second. A robot is in contact when a wall changed the velocity that its wheels gave it by more."""
+
+ROBOTS, WALLS = 0b01, 0b10
+READ = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
+WRITE = BodyFields.FORCE | BodyFields.TORQUE
+READ_WIDTH, WRITE_WIDTH = 6, 3
+GET_BODY = ffi.addressof(lib, "pmSpaceBodyGetIteratorFuncBatched")
+SET_BODY = ffi.addressof(lib, "pmSpaceBodySetIteratorFuncBatched")
+SLACK = 64
+"""Spare floats behind a batch buffer: pymunk grows a buffer, which is not its own, before it is quite full."""
+
+DRIVE = np.dtype(
+    [
+        ("x", "f8"),
+        ("y", "f8"),
+        ("angle", "f8"),  # not wrapped
+        ("left", "f8"),  # wheel speeds, m/s
+        ("right", "f8"),
+        ("travel", "f8"),  # signed displacement along the heading in this control step, metres
+        ("contact", "?"),  # a wall pushed back in this control step
+        ("along_x", "f8"),  # heading half-way through the running substep
+        ("along_y", "f8"),
+        ("target_vx", "f8"),  # velocity that the wheels asked for in the running substep
+        ("target_vy", "f8"),
+    ]
+)
+"""What the simulation knows of a robot from one substep to the next."""
+
+
+@compiled
+def command_substep(bodies, forces, rows, drive, commands, first, mass, inertia, axle_track, lag, dt):
+    """Take over what the substep before did to the bodies, if there was one, and set the forces of the next.
+
+    The forces give each body the velocity of its wheels by the end of the substep. pymunk first moves a body
+    by its old velocity, and then turns to contacts and the new one: so the new velocity points along the
+    heading half-way through the substep after.
+
+    Parameters
+    ----------
+    bodies : (n, 6) float64
+        x, y, angle, vx, vy and angular velocity of the bodies of one Space.
+    forces : (n, 3) float64
+        Written: force x and y, torque.
+    rows : (n,) int64
+        The robot of each body.
+    drive : (N,) DRIVE
+        Updated.
+    commands : (N, 2) float64
+        Wheel speeds asked for, left and right, m/s.
+    first : bool
+        Whether a control step begins, so that travel and contact start anew.
+    mass, inertia, axle_track, lag, dt : float
+        kg, kg m2, m, the share of a wheel's speed error that is gone after a substep, and a substep's length in s.
+    """
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        robot = drive[row]
+        angle, omega = bodies[i, 2], bodies[i, 5]
+        if first:
+            robot.travel, robot.contact = 0.0, False
+        else:
+            observe_body(bodies[i], robot)
+        robot.left += lag * (commands[row, 0] - robot.left)
+        robot.right += lag * (commands[row, 1] - robot.right)
+        target_omega = (robot.right - robot.left) / axle_track
+        speed = 0.5 * (robot.left + robot.right)
+        middle = angle + 0.5 * omega * dt
+        robot.along_x, robot.along_y = math.cos(middle), math.sin(middle)
+        ahead = angle + omega * dt + 0.5 * target_omega * dt
+        robot.target_vx, robot.target_vy = speed * math.cos(ahead), speed * math.sin(ahead)
+        forces[i, 0] = mass * (robot.target_vx - bodies[i, 3]) / dt
+        forces[i, 1] = mass * (robot.target_vy - bodies[i, 4]) / dt
+        forces[i, 2] = inertia * (target_omega - omega) / dt
+
+
+@compiled
+def observe_body(body, robot):
+    """Take over what a substep did to one body: position, travel along the heading, contact."""
+    robot.travel += (body[0] - robot.x) * robot.along_x + (body[1] - robot.y) * robot.along_y
+    robot.x, robot.y, robot.angle = body[0], body[1], body[2]
+    if abs(body[3] - robot.target_vx) > PUSH or abs(body[4] - robot.target_vy) > PUSH:
+        robot.contact = True
+
+
+@compiled
+def observe_step(bodies, rows, drive):
+    """Take over what the last substep of a control step did to the bodies."""
+    for i in range(rows.shape[0]):
+        observe_body(bodies[i], drive[rows[i]])
+
+
+class BodyBatch:
+    """`get_space_bodies` and `set_space_bodies` of `pymunk.batch`, prepared once: their set-up costs more than their work."""
+
+    def __init__(self, fields: BodyFields, floats: np.ndarray) -> None:
+        self._buffer = Buffer()
+        self._buffer.set_float_buf(floats)
+        self._batch = ffi.new("pmBatchedData *")
+        self._batch.fields = fields.value
+        self._batch.floatArray = self._floats = self._buffer._float_arr
+        self._batch.intArray = self._buffer._int_arr
+
+    def exchange(self, space: pymunk.Space, function: Any) -> None:
+        """Read or write all bodies of the Space."""
+        self._floats.num = 0
+        lib.cpSpaceEachBody(space._space, function, self._batch)
+
+
+class World:
+    """One Space with the walls of one floor plan and up to `WORLD_SIZE` robots."""
+
+    def __init__(self, plan: FloorPlan) -> None:
+        self.space = pymunk.Space()
+        self.space.collision_slop = COLLISION_SLOP
+        for ring in plan.rings:
+            corners = [tuple(map(float, corner)) for corner in ring]
+            for i, corner in enumerate(corners):
+                following = corners[(i + 1) % len(corners)]
+                wall = pymunk.Segment(self.space.static_body, corner, following, 0.0)
+                # Knowing its neighbours, a wall has no ends for a robot that slides along to catch on.
+                wall.set_neighbors(corners[i - 1], corners[(i + 2) % len(corners)])
+                wall.filter = pymunk.ShapeFilter(categories=WALLS)
+                wall.friction = 0.0
+                self.space.add(wall)
+        self.bodies: dict[int, pymunk.Body] = {}
+        self._refresh()
+
+    def add(self, row: int, body: pymunk.Body, radius: float) -> None:
+        """Add the body of a robot, replacing the one that it had here."""
+        self.remove(row)
+        shape = pymunk.Circle(body, radius)
+        shape.filter = pymunk.ShapeFilter(categories=ROBOTS, mask=WALLS)
+        shape.friction = 0.0
+        self.space.add(body, shape)
+        self.bodies[row] = body
+        self._refresh()
+
+    def remove(self, row: int) -> None:
+        """Remove the robot, if it is here."""
+        body = self.bodies.pop(row, None)
+        if body is not None:
+            self.space.remove(body, *body.shapes)
+            self._refresh()
+
+    def _refresh(self) -> None:
+        """Fit the buffers to the bodies, and learn their order in the Space."""
+        count = len(self.bodies)
+        ids = Buffer()
+        get_space_bodies(self.space, BodyFields.BODY_ID, ids)
+        row_of = {body.id: row for row, body in self.bodies.items()}
+        order = [row_of[i] for i in memoryview(ids.int_buf()).cast("P") if i in row_of]  # the last is the walls' body
+        self.rows = np.array(order, np.int64)
+        read, write = (np.zeros((count + 1) * width + SLACK) for width in (READ_WIDTH, WRITE_WIDTH))
+        self.body_states = read[: count * READ_WIDTH].reshape(count, READ_WIDTH)
+        self.forces = write[: count * WRITE_WIDTH].reshape(count, WRITE_WIDTH)
+        self._read, self._write = BodyBatch(READ, read), BodyBatch(WRITE, write)
+        self._read.exchange(self.space, GET_BODY)
+
+    def step(self, dt: float) -> None:
+        """Apply `forces`, advance the Space by `dt` seconds, and read `body_states`."""
+        self._write.exchange(self.space, SET_BODY)
+        self.space.step(dt)
+        self._read.exchange(self.space, GET_BODY)
+
+
+class Simulation:
+    """N robots in the buildings of a pool of floor plans.
+
+    Attributes
+    ----------
+    drive : (N,) array of `DRIVE`
+        State of the robots after the last control step.
+    plan_of : (N,) int64
+        The plan in which each robot is; -1 before it is first placed.
+    worlds : list of World
+        The Spaces in use; `drive_world` may be called for different ones from different threads.
+    """
+
+    def __init__(self, robot: RobotConfig, plans: Sequence[FloorPlan], num_robots: int) -> None:
+        self.robot = robot
+        self.plans = tuple(plans)
+        self.drive = np.zeros(num_robots, DRIVE)
+        self.plan_of = np.full(num_robots, -1, np.int64)
+        self.worlds: list[World] = []
+        self._world_of: dict[int, World] = {}
+        self._inertia = pymunk.moment_for_circle(robot.mass, 0.0, robot.radius)
+        self._dt = robot.dt / robot.substeps
+        lag = robot.wheel_time_constant
+        self._lag = 1.0 - math.exp(-self._dt / lag) if lag > 0 else 1.0
+
+    def place(self, row: int, plan: int, pose: Sequence[float]) -> None:
+        """Put a robot at rest at `pose` (x, y, heading) in the plan of that number, as a new body."""
+        self._add_body(row, plan, (pose[0], pose[1]), pose[2], (0.0, 0.0), 0.0)
+        self.drive[row] = np.zeros((), DRIVE)
+        for name, value in zip(("x", "y", "angle"), pose, strict=True):
+            self.drive[name][row] = value
+
+    def _add_body(self, row: int, plan: int, position: Any, angle: float, velocity: Any, omega: float) -> None:
+        world = self._world_of.get(row)
+        if world is None or self.plan_of[row] != plan:
+            if world is not None:
+                world.remove(row)
+            self.plan_of[row] = plan
+            world = self._world_of[row] = self._world_with_room(plan)
+            self.worlds = [world for world in dict.fromkeys(self._world_of.values())]
+        body = pymunk.Body(self.robot.mass, self._inertia)
+        body.position, body.angle = (float(position[0]), float(position[1])), float(angle)
+        body.velocity, body.angular_velocity = velocity, omega
+        world.add(row, body, self.robot.radius)
+
+    def _world_with_room(self, plan: int) -> World:
+        for row, world in self._world_of.items():
+            if self.plan_of[row] == plan and len(world.bodies) < WORLD_SIZE:
+                return world
+        return World(self.plans[plan])
+
+    def drive_world(self, world: World, commands: np.ndarray) -> None:
+        """Drive the robots of one Space for a control step.
+
+        Parameters
+        ----------
+        world : World
+            One of `worlds`.
+        commands : (N, 2) float64
+            Wheel speeds asked for, left and right, m/s; only the rows of this world are read.
+        """
+        robot = self.robot
+        for substep in range(robot.substeps):
+            command_substep(
+                world.body_states,
+                world.forces,
+                world.rows,
+                self.drive,
+                commands,
+                substep == 0,
+                robot.mass,
+                self._inertia,
+                robot.axle_track,
+                self._lag,
+                self._dt,
+            )
+            world.step(self._dt)
+        observe_step(world.body_states, world.rows, self.drive)
+
+    def __getstate__(self) -> dict[str, Any]:
+        bodies = {}
+        for row, world in self._world_of.items():
+            body = world.bodies[row]
+            bodies[row] = (
+                int(self.plan_of[row]),
+                tuple(body.position),
+                body.angle,
+                tuple(body.velocity),
+                body.angular_velocity,
+            )
+        return {"robot": self.robot, "plans": self.plans, "drive": self.drive.copy(), "bodies": bodies}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["robot"], state["plans"], len(state["drive"]))
+        for row, (plan, position, angle, velocity, omega) in state["bodies"].items():
+            self._add_body(row, plan, position, angle, velocity, omega)
+        self.drive[:] = state["drive"]

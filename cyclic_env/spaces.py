@@ -1,0 +1,29 @@
+"""The action and observation spaces of one robot."""
+
+from __future__ import annotations
+
+import numpy as np
+from gymnasium import spaces
+
+from cyclic_env.config import ActionType, LaserConfig
+
+DISTANCE_MAX = 1e5
+"""Metres; bound of the distance meter's space, further than any episode goes."""
+
+NUM_DRIVES = 5
+
+
+def action_space(action_type: ActionType) -> spaces.Space:
+    """Return the action space of a robot that takes actions of that type."""
+    if action_type == "discrete":
+        return spaces.MultiDiscrete([NUM_DRIVES, 2])
+    return spaces.Box(-1.0, 1.0, (4,), np.float32)
+
+
+def observation_space(laser: LaserConfig) -> spaces.Dict:
+    """Return the observation space of a robot with that laser."""
+    return spaces.Dict(
+        laser=spaces.Box(0.0, laser.range_max, (laser.num_beams,), np.float32),
+        distance=spaces.Box(-DISTANCE_MAX, DISTANCE_MAX, (1,), np.float32),
+        compass=spaces.Box(-1.0, 1.0, (2,), np.float32),
+    )

@@ -1,0 +1,264 @@
+"""Floor plans from names and YAML files, and what the reader says of mistakes."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cyclic_env.errors import FloorPlanError
+from cyclic_env.floor_plans import (
+    FloorPlan,
+    floor_plan_from_mapping,
+    load_floor_plan,
+    load_floor_plans,
+    polygon_from_rings,
+    read_floor_plan,
+    write_floor_plan,
+)
+from cyclic_env.floor_plans.library import maps_folder
+
+SQUARE = [(0.0, 0.0), (60.0, 0.0), (60.0, 60.0), (0.0, 60.0)]
+
+
+def square_plan() -> FloorPlan:
+    return FloorPlan("square", polygon_from_rings(SQUARE), (1.0, 1.0, 0.0))
+
+
+# What the loader takes
+
+
+def test_a_plan_is_returned_as_it_is() -> None:
+    plan = square_plan()
+    assert load_floor_plan(plan) is plan
+
+
+def test_a_single_map_is_a_pool_of_one() -> None:
+    assert [plan.name for plan in load_floor_plans("ring")] == ["ring"]
+
+
+def test_a_pool_mixes_names_paths_and_plans() -> None:
+    pool = load_floor_plans(["grid", maps_folder() / "ring.yaml", square_plan()])
+    assert [plan.name for plan in pool] == ["grid", "ring", "square"]
+
+
+def test_centrelines_may_be_named() -> None:
+    data = {"start": {"x": 1, "y": 1}, "exterior": SQUARE, "centrelines": {"main": [[0, 5], [9, 5]]}}
+    assert floor_plan_from_mapping(data).centrelines == (((0.0, 5.0), (9.0, 5.0)),)
+
+
+def test_a_heading_left_out_is_east() -> None:
+    assert floor_plan_from_mapping({"start": {"x": 1, "y": 1}, "exterior": SQUARE}).start == (1.0, 1.0, 0.0)
+
+
+# Mistakes in a file: each is one line that names the file, the key, and what to do
+
+START = "start: {x: 1, y: 1}\n"
+OUTER = "exterior: [[0, 0], [60, 0], [60, 60], [0, 60]]\n"
+CORRIDOR = "corridors: [{width: 2, line: [[0, 1], [30, 1]]}]\n"
+
+MISTAKES = {
+    "empty file": ("", "mapping with some of the keys.*got nothing"),
+    "list for a mapping": ("[1, 2]", "mapping with some of the keys.*got list"),
+    "text for a mapping": ("a wall", "mapping with some of the keys.*got str"),
+    "invalid YAML": ("start: {x: 1", "not valid YAML"),
+    "two documents": (START + "---\n" + OUTER, "not valid YAML.*single document"),
+    "control character": ("title: \x01", "not valid YAML"),
+    "impossible date": ("title: 2024-13-45", "not valid YAML.*month"),
+    "tag on the wrong kind": (OUTER + "start: !!map 3", "not valid YAML.*expected a mapping"),
+    "Python object": ("title: !!python/object:os.system {}", "not valid YAML.*constructor"),
+    "key that is a list": ("? [a]\n: 1", "not valid YAML.*unhashable"),
+    "nested too deeply": ("title: " + "[" * 50_000, "not valid YAML.*too deeply"),
+    "endless list": (START + "exterior: &a [*a]", r"exterior\[0\]: expected a point \[x, y\]"),
+    "number of 6,000 digits": ("start: {x: 0x" + "f" * 6000 + ", y: 1}\n" + OUTER, r"start\.x: expected a number"),
+    "unknown key": (START + OUTER + "hole: []", "unknown key 'hole'.*Did you mean 'holes'"),
+    "key that is a number": (START + OUTER + "3: 4", "unknown key '3'"),
+    "key given twice": (START + OUTER + START, "key 'start' stands twice at line 1"),
+    "inner key given twice": ("start: {x: 1, x: 2, y: 1}\n" + OUTER, "key 'x' stands twice"),
+    "no free space": (START, "either as `exterior`.* or as `corridors`"),
+    "exterior and corridors": (START + OUTER + CORRIDOR, "either as `exterior`.* or as `corridors`"),
+    "rooms with exterior": (START + OUTER + "rooms: []", "`rooms` go with `corridors`"),
+    "holes with corridors": (START + CORRIDOR + "holes: []", "`holes` go with `exterior`"),
+    "missing start": (OUTER, "start: expected a mapping with x, y"),
+    "start without y": ("start: {x: 1}\n" + OUTER, "start: expected a mapping with x, y"),
+    "start with a z": ("start: {x: 1, y: 1, z: 1}\n" + OUTER, "start: expected a mapping with x, y"),
+    "start as a list": ("start: [1, 1]\n" + OUTER, "start: expected a mapping with x, y"),
+    "start in a wall": ("start: {x: 0, y: 0}\n" + OUTER, r"start \(0, 0\) is inside a wall.*for example \("),
+    "start in a hole": (
+        "start: {x: 15, y: 15}\n" + OUTER + "holes: [[[10, 10], [20, 10], [20, 20], [10, 20]]]",
+        r"start \(15, 15\) is inside a wall.*choose a point in free space",
+    ),
+    "NaN": ("start: {x: .nan, y: 1}\n" + OUTER, r"start\.x: expected a number from .* got nan"),
+    "infinity": ("start: {x: 1, y: -.inf}\n" + OUTER, r"start\.y: expected a number from .* got -inf"),
+    "bool": ("start: {x: yes, y: 1}\n" + OUTER, r"start\.x: expected a number from .* got True"),
+    "text": ("start: {x: '1', y: 1}\n" + OUTER, r"start\.x: expected a number from .* got '1'"),
+    "huge": ("start: {x: 1, y: 1, heading: 1.0e+300}\n" + OUTER, r"start\.heading: expected a number from"),
+    "NaN in a ring": (START + "exterior: [[0, 0], [9, .nan], [9, 9]]", r"exterior\[1\]\.y: expected a number from"),
+    "point of three": (START + "exterior: [[0, 0, 0], [9, 0], [9, 9]]", r"exterior\[0\]: expected a point \[x, y\]"),
+    "ring without points": (START + "exterior: null", "exterior: expected a list, got NoneType"),
+    "ring of two points": (START + "exterior: [[0, 0], [9, 0], [0, 0]]", "exterior: a ring needs at least 3 different"),
+    "flat ring": (START + "exterior: [[0, 0], [5, 0], [9, 0]]", "exterior: the ring crosses or touches itself"),
+    "crossing ring": (
+        START + "exterior: [[0, 0], [9, 9], [9, 0], [0, 9]]",
+        r"exterior: the ring crosses or touches itself.*4\.5 4\.5.*list its corners in order",
+    ),
+    "holes no list": (START + OUTER + "holes: 0", "holes: expected a list, got int"),
+    "hole of one point": (START + OUTER + "holes: [[[5, 5], [5, 5], [5, 5]]]", r"holes\[0\]: a ring needs at least 3"),
+    "hole outside": (
+        START + OUTER + "holes: [[[70, 0], [90, 0], [90, 9]]]",
+        r"holes\[0\]: reaches out.*move it inside",
+    ),
+    "hole across the wall": (START + OUTER + "holes: [[[50, 5], [90, 5], [90, 9]]]", r"holes\[0\]: reaches out"),
+    "hole along the wall": (START + OUTER + "holes: [[[0, 20], [0, 40], [20, 30]]]", r"holes\[0\]: .* lies along it"),
+    "holes that overlap": (
+        START + OUTER + "holes: [[[10, 10], [30, 10], [20, 30]], [[12, 12], [32, 12], [22, 32]]]",
+        r"holes\[1\]: overlaps holes\[0\].*merge them",
+    ),
+    "hole in a hole": (
+        START + OUTER + "holes: [[[10, 10], [30, 10], [20, 30]], [[19, 15], [21, 15], [20, 17]]]",
+        r"holes\[1\]: overlaps holes\[0\].*merge them",
+    ),
+    "hole that cuts the building": (
+        START + OUTER + "holes: [[[0, 30], [30, 25], [60, 30], [30, 35]]]",
+        "holes: they cut the building.*leave a corridor",
+    ),
+    "no corridors": (START + "corridors: []", "corridors: the list is empty"),
+    "corridor as a number": (
+        START + "corridors: [3]",
+        r"corridors\[0\]: expected a mapping with the keys width and line",
+    ),
+    "corridors as a mapping": (START + "corridors: {width: 2}", "corridors: expected a list, got dict"),
+    "negative width": (
+        START + "corridors: [{width: -2, line: [[0, 0], [9, 0]]}]",
+        r"corridors\[0\]\.width: expected more than 0, got -2",
+    ),
+    "width of next to nothing": (
+        START + "corridors: [{width: 1.0e-9, line: [[0, 0], [9, 0]]}]",
+        "have no area.*metres",
+    ),
+    "corridor of one point": (
+        START + "corridors: [{width: 2, line: [[0, 0], [0, 0]]}]",
+        r"corridors\[0\]\.line: a centreline needs at least 2 different points",
+    ),
+    "corridors apart": (
+        START + "corridors: [{width: 2, line: [[0, 1], [9, 1]]}, {width: 2, line: [[0, 20], [9, 20]]}]",
+        r"not connected: separate parts around \(4\.5, 1\.0\), \(4\.5, 20\.0\); join them",
+    ),
+    "room apart": (START + CORRIDOR + "rooms: [[[3, 5], [6, 5], [6, 8], [3, 8]]]", "not connected.*join them"),
+    "crossing room": (
+        START + CORRIDOR + "rooms: [[[3, 0], [3, 9]], [[0, 0], [1, 1], [1, 0], [0, 1]]]",
+        r"rooms\[0\]: a ring needs at least 3 different points, got 2",
+    ),
+    "centreline of one point": (
+        START + OUTER + "centrelines: [[[1, 1]]]",
+        r"centrelines\[0\]: a line needs at least 2",
+    ),
+    "centrelines as a number": (START + OUTER + "centrelines: 3", "centrelines: expected a list, got int"),
+    "title as a list": (START + OUTER + "title: [a]", "title: expected text, got"),
+}
+
+
+def error_of(path: Path) -> str:
+    with pytest.raises(FloorPlanError) as caught:
+        load_floor_plan(path).reachable(0.25)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_in_a_file_is_told_in_one_line(mistake: str, tmp_path: Path) -> None:
+    text, message = MISTAKES[mistake]
+    path = tmp_path / "plan.yaml"
+    path.write_text(text, encoding="utf-8")
+    error = error_of(path)
+    assert re.match(rf"{re.escape(str(path))}: .*{message}", error) and "\n" not in error
+
+
+def test_a_binary_file_is_told_from_yaml(tmp_path: Path) -> None:
+    path = tmp_path / "plan.yaml"
+    path.write_bytes(bytes(range(256)))
+    assert "plan.yaml: is not valid YAML" in error_of(path)
+
+
+def test_a_folder_is_no_plan(tmp_path: Path) -> None:
+    assert "is a folder" in error_of(tmp_path)
+
+
+def test_a_folder_can_not_be_read(tmp_path: Path) -> None:
+    with pytest.raises(FloorPlanError, match="can't be read: Is a directory"):
+        read_floor_plan(tmp_path)
+
+
+def test_a_folder_can_not_be_written(tmp_path: Path) -> None:
+    with pytest.raises(FloorPlanError, match="can't be written: Is a directory"):
+        write_floor_plan(square_plan(), tmp_path)
+
+
+def test_a_missing_file_is_told_with_the_names_that_are_known(tmp_path: Path) -> None:
+    assert re.search(r"no floor plan file .*gone\.yaml.*one of: chamfered", error_of(tmp_path / "gone.yaml"))
+
+
+@pytest.mark.parametrize("name", ["kilian_court", "Killian Court", "killian-court"])
+def test_an_unknown_map_is_told_with_the_nearest(name: str) -> None:
+    with pytest.raises(FloorPlanError, match=r"unknown map .* Did you mean 'killian_court'"):
+        load_floor_plan(name)
+
+
+@pytest.mark.parametrize("name", ["", "a\0b", "a" * 5000, "a/" * 5000, "~nobody-here/plan.yaml"])
+def test_an_odd_name_is_an_error_of_ours(name: str) -> None:
+    with pytest.raises(FloorPlanError, match=r"unknown map|no floor plan file"):
+        load_floor_plan(name)
+
+
+@pytest.mark.parametrize("pool", [[], (), None, 3, {"ring"}])
+def test_a_pool_is_a_list_that_is_not_empty(pool: object) -> None:
+    with pytest.raises(FloorPlanError, match="not empty; got"):
+        load_floor_plans(pool)  # pyright: ignore[reportArgumentType]
+
+
+def test_a_number_in_a_pool_is_no_map() -> None:
+    with pytest.raises(FloorPlanError, match="a map is a name, a path or a FloorPlan; got int"):
+        load_floor_plans(["ring", 3])  # pyright: ignore[reportArgumentType]
+
+
+JUNK = st.sampled_from(
+    [None, True, 0, -1, 20, 1e300, float("nan"), 10**5000, "x", "", b"x", [], {}, [[]], [[1, 2]], {"x": 1}, {1}, 1j]
+)
+PLANS = [
+    {
+        "start": {"x": 1, "y": 0, "heading": 0},
+        "corridors": [{"width": 2, "line": [[0, 0], [20, 0], [20, 20], [0, 20], [0, 0]]}],
+        "rooms": [[[5, -3], [8, -3], [8, 0]]],
+    },
+    {
+        "name": "a",
+        "start": {"x": 1, "y": 1},
+        "exterior": [[0, 0], [30, 0], [30, 30], [0, 30]],
+        "holes": [[[5, 5], [20, 5], [20, 20]], [[5, 25], [8, 25], [8, 28]]],
+        "centrelines": {"main": [[1, 1], [2, 2]]},
+    },
+]
+
+
+@st.composite
+def spoilt_plans(draw: st.DrawFn, value: object = PLANS) -> object:
+    """Draw one of `PLANS` with junk put in some place of it."""
+    if value is PLANS:
+        value = draw(st.sampled_from(PLANS))
+    elif draw(st.integers(0, 3)) == 0 or not isinstance(value, list | dict):
+        return draw(JUNK)
+    copy = dict(value) if isinstance(value, dict) else list(value)  # pyright: ignore[reportArgumentType]
+    place = draw(st.sampled_from(list(copy) if isinstance(copy, dict) else range(len(copy))))
+    copy[place] = draw(spoilt_plans(copy[place]))  # pyright: ignore[reportArgumentType, reportCallIssue]
+    return copy
+
+
+@settings(max_examples=300, deadline=None)
+@given(spoilt_plans())
+def test_a_spoilt_plan_is_taken_or_refused_in_one_line(data: object) -> None:
+    try:
+        floor_plan_from_mapping(data).reachable(0.25)
+    except FloorPlanError as error:
+        assert "\n" not in str(error)

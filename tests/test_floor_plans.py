@@ -1,0 +1,378 @@
+"""Floor plans: the shipped ones, their geometry, and whether a robot can drive them."""
+
+from __future__ import annotations
+
+import re
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import pytest
+import shapely
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from shapely.affinity import scale, translate
+from shapely.geometry import MultiPolygon, Polygon, box
+
+from cyclic_env.errors import FloorPlanError
+from cyclic_env.floor_plans import (
+    FloorPlan,
+    load_floor_plan,
+    map_names,
+    polygon_from_corridors,
+    polygon_from_rings,
+    read_floor_plan,
+    write_floor_plan,
+)
+from cyclic_env.floor_plans.library import maps_folder
+
+CYCLES = {
+    "chamfered": 2,
+    "dead_ends": 0,
+    "figure_eight": 2,
+    "grid": 9,
+    "killian_court": 6,
+    "mirror_halls": 2,
+    "office": 1,
+    "ring": 1,
+    "twin_rings": 2,
+}
+SQUARE = [(0.0, 0.0), (60.0, 0.0), (60.0, 60.0), (0.0, 60.0)]
+BLOCK_SPACING = 16.0
+"""Between crossings of the random plans, metres: with corridors of up to 3 m every block is a cycle (52 m)."""
+LATTICE = [((x, y), (x + 1, y)) for x in range(3) for y in range(4)] + [
+    ((x, y), (x, y + 1)) for x in range(4) for y in range(3)
+]
+
+shipped = pytest.mark.parametrize("name", sorted(CYCLES))
+
+
+def assert_free_left_of_walls(plan: FloorPlan) -> None:
+    start, end = plan.walls[:, :2], plan.walls[:, 2:]
+    along = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
+    left = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    beside = shapely.points((start + end) / 2 + 1e-4 * left)
+    assert shapely.contains(plan.free_space, beside).all()
+
+
+def square_plan(holes: list | None = None, start: tuple[float, float, float] = (1.0, 1.0, 0.0)) -> FloorPlan:
+    return FloorPlan("square", polygon_from_rings(SQUARE, holes or []), start)
+
+
+@st.composite
+def block_plans(draw: st.DrawFn) -> tuple[FloorPlan, int]:
+    """Draw a connected plan of streets on a lattice, and its number of blocks."""
+    nodes, edges = {(0, 0)}, []
+    for edge in draw(st.permutations(LATTICE))[: draw(st.integers(14, len(LATTICE)))]:
+        if nodes & set(edge) or not edges:
+            edges.append(edge)
+            nodes = set().union(*edges)
+    corridors = []
+    for edge in edges:
+        width = draw(st.integers(10, 30)) / 10
+        corridors.append((width, [(BLOCK_SPACING * x, BLOCK_SPACING * y) for x, y in edge]))
+    lines = tuple(tuple(line) for _, line in corridors)
+    plan = FloorPlan("blocks", polygon_from_corridors(corridors), (*lines[0][0], 0.0), centrelines=lines)
+    return plan, len(edges) - len(nodes) + 1
+
+
+# The shipped plans
+
+
+def test_the_library_lists_exactly_the_shipped_plans() -> None:
+    assert map_names() == sorted(CYCLES)
+
+
+@shipped
+def test_a_shipped_plan_has_its_number_of_cycles(name: str) -> None:
+    assert load_floor_plan(name).cycles_total == CYCLES[name]
+
+
+@shipped
+def test_a_shipped_plan_is_named_like_its_file(name: str) -> None:
+    assert load_floor_plan(name).name == name
+
+
+@shipped
+@pytest.mark.parametrize("key", ["title", "source", "licence"])
+def test_a_shipped_plan_says_what_it_is_and_whose(name: str, key: str) -> None:
+    assert getattr(load_floor_plan(name), key).strip()
+
+
+@shipped
+def test_a_shipped_start_keeps_clear_of_walls(name: str) -> None:
+    plan = load_floor_plan(name)
+    assert plan.free_space.boundary.distance(shapely.Point(plan.start[:2])) >= 0.5
+
+
+@shipped
+@pytest.mark.parametrize("radius", [0.25, 0.35])
+def test_a_robot_passes_everywhere_in_a_shipped_plan(name: str, radius: float) -> None:
+    plan = load_floor_plan(name)
+    assert plan.free_space.contains(plan.reachable(radius))
+
+
+@shipped
+def test_free_space_lies_left_of_all_shipped_walls(name: str) -> None:
+    assert_free_left_of_walls(load_floor_plan(name))
+
+
+@shipped
+def test_no_shipped_hole_is_nearly_a_cycle(name: str) -> None:
+    lengths = [ring.length for ring in load_floor_plan(name).free_space.interiors]
+    assert not [length for length in lengths if 20.0 < length < 50.0]
+
+
+@shipped
+def test_every_free_cell_of_a_shipped_plan_is_in_sight_of_the_way(name: str) -> None:
+    plan = load_floor_plan(name)
+    west, south, east, north = plan.bounds
+    x, y = np.meshgrid(np.arange(west + 0.25, east, 0.5), np.arange(south + 0.25, north, 0.5))
+    cells = np.asarray(shapely.points(x.ravel(), y.ravel()))
+    shapely.prepare(plan.free_space)
+    cells = cells[shapely.contains(plan.free_space, cells)]
+    home = plan.reachable(0.35)
+    shapely.prepare(home)
+    away = cells[~shapely.covers(home, cells)]
+    assert shapely.covers(plan.free_space, shapely.shortest_line(away, home)).all()
+
+
+@shipped
+def test_shipped_centrelines_stay_in_free_space(name: str) -> None:
+    plan = load_floor_plan(name)
+    lines = shapely.union_all([shapely.LineString(line) for line in plan.centrelines])
+    assert lines.difference(plan.free_space).length <= 0.03 * lines.length  # Killian Court's are read off by eye
+
+
+def test_twin_rings_differ_by_a_shift_only() -> None:
+    free = load_floor_plan("twin_rings").free_space
+    west, east = free.intersection(box(-5, -12.5, 27, 20)), free.intersection(box(29, -12.5, 61, 20))
+    assert translate(west, 34.0).symmetric_difference(east).area < 1e-6
+
+
+def test_twin_rings_hide_the_way_between_them_from_a_laser_in_a_ring() -> None:
+    free = load_floor_plan("twin_rings").free_space
+    ring = free.intersection(box(-5, -1.2, 27, 20))
+    corner = free.intersection(box(11.2, -20, 42.8, -10))  # all that lies around the corner
+    assert ring.distance(corner) > 12.0
+
+
+def test_mirror_halls_are_mirrored() -> None:
+    free = load_floor_plan("mirror_halls").free_space
+    assert scale(free, -1.0, 1.0, origin=(0, 0)).symmetric_difference(free).area < 1e-6
+
+
+def test_mirror_halls_are_not_alike_by_a_turn() -> None:
+    free = load_floor_plan("mirror_halls").free_space
+    assert scale(free, -1.0, -1.0, origin=(0, 0)).symmetric_difference(free).area > 10.0
+
+
+def test_a_pillar_is_no_cycle() -> None:
+    plan = load_floor_plan("mirror_halls")
+    assert (len(plan.free_space.interiors), plan.cycles_total) == (4, 2)
+
+
+@shipped
+def test_the_readme_table_agrees_with_the_plan(name: str) -> None:
+    plan = load_floor_plan(name)
+    text = (maps_folder() / "README.md").read_text(encoding="utf-8")
+    (row,) = re.findall(rf"^\| `{name}` \|.*?\| (\d+) \| (\d+) \| (\d+) \| (\d+) \|$", text, re.MULTILINE)
+    expected = plan.cycles_total, round(plan.free_area), round(plan.closed_tour_bound()), len(plan.walls)
+    assert tuple(map(int, row)) == expected
+
+
+def test_the_readme_example_is_a_plan_that_can_be_driven(tmp_path: Path) -> None:
+    text = (maps_folder() / "README.md").read_text(encoding="utf-8")
+    (example,) = re.findall(r"```yaml\n(.*?)```", text, re.DOTALL)
+    path = tmp_path / "my_plan.yaml"
+    path.write_text(example, encoding="utf-8")
+    plan = load_floor_plan(path)
+    plan.reachable(0.35)
+    assert (plan.name, plan.cycles_total, plan.free_area > 150) == ("my_plan", 1, True)
+
+
+# Geometry
+
+
+@settings(max_examples=60, deadline=None)
+@given(block_plans())
+def test_every_block_between_streets_is_a_cycle(drawn: tuple[FloorPlan, int]) -> None:
+    plan, blocks = drawn
+    assert plan.cycles_total == blocks
+
+
+@settings(max_examples=60, deadline=None)
+@given(block_plans())
+def test_free_space_lies_left_of_all_walls_of_any_streets(drawn: tuple[FloorPlan, int]) -> None:
+    assert_free_left_of_walls(drawn[0])
+
+
+@settings(max_examples=60, deadline=None)
+@given(block_plans())
+def test_any_streets_can_be_driven_everywhere(drawn: tuple[FloorPlan, int]) -> None:
+    plan, blocks = drawn
+    assert len(plan.reachable(0.35).interiors) == blocks
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.text(max_size=20), st.floats(-4, 4))
+def test_text_and_heading_of_a_written_plan_read_back_the_same(title: str, heading: float) -> None:
+    plan = FloorPlan("square", Polygon(SQUARE), (1, 1, heading), title, "source", "licence")
+    with tempfile.TemporaryDirectory() as folder:
+        write_floor_plan(plan, Path(folder) / "plan.yaml")
+        back = read_floor_plan(Path(folder) / "plan.yaml")
+    assert (back.title, back.start) == (title, plan.start)
+
+
+@pytest.mark.parametrize(
+    "title", ["Z\u00fcrich", "next\x85line", "a\u2028b\u2029c", "two\nlines", "\ufeff", "yes", "3", ": #"]
+)
+def test_an_awkward_title_reads_back_the_same(title: str, tmp_path: Path) -> None:
+    write_floor_plan(FloorPlan("square", Polygon(SQUARE), (1, 1, 0), title), tmp_path / "plan.yaml")
+    assert read_floor_plan(tmp_path / "plan.yaml").title == title
+
+
+@settings(max_examples=60, deadline=None)
+@given(block_plans())
+def test_a_written_plan_reads_back_the_same(drawn: tuple[FloorPlan, int]) -> None:
+    plan = drawn[0]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "plan.yaml"
+        write_floor_plan(plan, path)
+        back = read_floor_plan(path)
+    assert [ring.tolist() for ring in back.rings] == [ring.tolist() for ring in plan.rings]
+    fields = ("name", "start", "source", "licence", "centrelines")
+    assert [getattr(back, field) for field in fields] == [getattr(plan, field) for field in fields]
+
+
+@shipped
+def test_a_shipped_plan_reads_back_the_same(name: str, tmp_path: Path) -> None:
+    plan = load_floor_plan(name)
+    write_floor_plan(plan, tmp_path / "plan.yaml")
+    np.testing.assert_allclose(read_floor_plan(tmp_path / "plan.yaml").walls, plan.walls, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("turn", [1, -1])
+def test_the_order_of_a_ring_does_not_matter(turn: int) -> None:
+    hole = [(20, 20), (40, 20), (40, 40), (20, 40)]
+    plan = FloorPlan("square", polygon_from_rings(SQUARE[::turn], [hole[::turn]]), (1, 1, 0))
+    assert_free_left_of_walls(plan)
+
+
+def test_points_given_twice_make_no_walls() -> None:
+    ring = [SQUARE[0], *SQUARE, (0.0, 60.0 - 1e-9), SQUARE[0]]
+    plan = FloorPlan("square", polygon_from_rings(ring), (1, 1, 0))
+    assert len(plan.walls) == 4
+
+
+def test_heights_are_dropped() -> None:
+    plan = FloorPlan("square", Polygon([(x, y, 3.0) for x, y in SQUARE]), (1, 1, 0))
+    assert plan.walls.shape == (4, 4)
+
+
+def test_a_corridor_ends_half_a_width_beyond_its_line() -> None:
+    assert polygon_from_corridors([(2.0, [(0, 0), (10, 0)])]).bounds == (-1.0, -1.0, 11.0, 1.0)
+
+
+def test_a_line_that_ends_where_it_begins_is_a_loop() -> None:
+    polygon = polygon_from_corridors([(2.0, [(0, 0), (20, 0), (20, 20), (0, 20), (0, 0)])])
+    assert (polygon.bounds, polygon.area) == ((-1.0, -1.0, 21.0, 21.0), 22.0**2 - 18.0**2)
+
+
+@pytest.mark.parametrize(("side", "cycles"), [(9.9, 0), (10.0, 1)])
+def test_a_hole_is_a_cycle_from_forty_metres(side: float, cycles: int) -> None:
+    hole = [(20, 20), (20 + side, 20), (20 + side, 20 + side), (20, 20 + side)]
+    assert square_plan([hole]).cycles_total == cycles
+
+
+def test_an_anchor_lies_in_the_hole_of_its_cycle() -> None:
+    plan = load_floor_plan("office")
+    assert plan.cycles[0].contains(shapely.Point(plan.cycle_anchors[0]))
+
+
+def test_a_plan_without_cycles_has_no_anchors() -> None:
+    assert square_plan().cycle_anchors.shape == (0, 2)
+
+
+def test_a_plan_of_rings_has_no_tour_bound() -> None:
+    assert square_plan().closed_tour_bound() == 0.0
+
+
+# Plans made in code
+
+
+@pytest.mark.parametrize("polygon", [None, Polygon(), MultiPolygon([Polygon(SQUARE)])])
+def test_free_space_is_one_polygon(polygon: Polygon) -> None:
+    with pytest.raises(FloorPlanError, match="floor plan 'p': the free space must be one polygon"):
+        FloorPlan("p", polygon, (1, 1, 0))
+
+
+def test_free_space_that_crosses_itself_is_refused() -> None:
+    with pytest.raises(FloorPlanError, match="not a proper polygon"):
+        FloorPlan("p", Polygon([(0, 0), (9, 9), (9, 0), (0, 9)]), (1, 1, 0))
+
+
+@pytest.mark.parametrize("start", [None, (1, 1), (1, 1, float("nan")), ("x", 1, 0)])
+def test_a_start_is_three_finite_numbers(start: tuple[float, float, float]) -> None:
+    with pytest.raises(FloorPlanError, match="start must be finite"):
+        square_plan(start=start)
+
+
+# What a robot can't drive: names the file or the plan, and a place
+
+
+def test_a_start_too_near_a_wall_is_told_with_the_file_and_a_better_one(tmp_path: Path) -> None:
+    write_floor_plan(square_plan(start=(0.1, 30.0, 0.0)), tmp_path / "plan.yaml")
+    message = r"/plan\.yaml: start \(0\.1, 30\) is 0\.10 m from a wall, .* for example to \(0\.[23], 30\.0\)"
+    with pytest.raises(FloorPlanError, match=message):
+        read_floor_plan(tmp_path / "plan.yaml").reachable(0.25)
+
+
+def test_a_given_position_is_checked_in_place_of_the_start() -> None:
+    with pytest.raises(FloorPlanError, match=r"start \(99, 99\) is inside a wall or outside"):
+        square_plan().reachable(0.25, (99, 99, 0))
+
+
+def test_a_start_in_a_pocket_is_refused() -> None:
+    slit = polygon_from_corridors([(4.0, [(0, 0), (4, 0)]), (0.3, [(4, 0), (20, 0)]), (4.0, [(20, 0), (40, 0)])])
+    with pytest.raises(FloorPlanError, match=r"lies in a pocket of .* for example at \(\d"):
+        FloorPlan("p", slit, (0, 0, 0)).reachable(0.25)
+
+
+def test_a_room_behind_a_slit_is_refused() -> None:
+    slit = polygon_from_corridors([(4.0, [(0, 0), (4, 0)]), (0.3, [(4, 0), (20, 0)]), (4.0, [(20, 0), (40, 0)])])
+    with pytest.raises(FloorPlanError, match=r"too narrow .* can't reach .* widen the way there or wall it off"):
+        FloorPlan("p", slit, (30, 0, 0)).reachable(0.25)
+
+
+def test_a_dead_end_too_narrow_is_refused() -> None:
+    plan = FloorPlan("p", polygon_from_corridors([(2.0, [(0, 0), (20, 0)]), (0.4, [(20, 0), (40, 0)])]), (5, 0, 0))
+    with pytest.raises(FloorPlanError, match=r"too narrow .* can't reach"):
+        plan.reachable(0.25)
+
+
+def test_a_lap_too_narrow_is_refused() -> None:
+    hole = [(0.3, 5), (50, 5), (50, 50), (0.3, 50)]
+    with pytest.raises(FloorPlanError, match=r"too narrow .* around the cycle of 189 m alone; widen it near \(0\."):
+        square_plan([hole]).reachable(0.25)
+
+
+def test_two_cycles_that_share_one_lap_are_refused() -> None:
+    holes = [[(5, 5), (30, 5), (30, 55), (5, 55)], [(30.4, 5), (55, 5), (55, 55), (30.4, 55)]]
+    with pytest.raises(FloorPlanError, match=r"too narrow .* alone; widen it near \(30\.2, 30\.0\)"):
+        square_plan(holes).reachable(0.25)
+
+
+def test_a_hole_that_touches_the_outer_wall_is_refused() -> None:
+    with pytest.raises(FloorPlanError, match=r"too narrow .* drive around the cycle"):
+        square_plan([[(0, 30), (20, 20), (20, 40)]]).reachable(0.25)
+
+
+def test_a_robot_that_fits_nowhere_is_told_so() -> None:
+    with pytest.raises(FloorPlanError, match="fits nowhere; are the units metres"):
+        square_plan().reachable(40.0)
+
+
+def test_a_small_nook_is_no_reason_to_refuse() -> None:
+    polygon = polygon_from_corridors([(2.0, [(0, 0), (30, 0)])], [[(5, 0), (5.4, 0), (5.4, 3), (5, 3)]])
+    assert FloorPlan("p", polygon, (9, 0, 0)).reachable(0.25).area > 0
