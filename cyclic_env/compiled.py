@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from typing import Any
 
 from numba import njit
@@ -21,7 +22,7 @@ def compiled(function: Callable[..., Any]) -> Any:
     Kernels make no arrays and keep none, so they count no references to them (`_nrt`): counting is atomic,
     and made two threads on the same arrays slower than one.
     """
-    return njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)
+    return njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)  # pyright: ignore[reportCallIssue]
 
 
 def inlined(function: Callable[..., Any]) -> Any:
@@ -29,14 +30,15 @@ def inlined(function: Callable[..., Any]) -> Any:
     return njit(inline="always")(function)
 
 
+@cache
+def _say_compiling() -> None:
+    print("cyclic_env: compiling its kernels, once on this machine; about 20 s ...", file=sys.stderr, flush=True)
+
+
 @contextmanager
 def compile_notice() -> Iterator[None]:
-    """Tell the user once, on stderr, if what runs inside takes long because kernels are being compiled."""
-
-    def say() -> None:
-        print("cyclic_env: compiling its kernels, once on this machine; about 20 s ...", file=sys.stderr, flush=True)
-
-    timer = threading.Timer(NOTICE_DELAY, say)
+    """Tell the user, on stderr, if what runs inside takes long because kernels are being compiled."""
+    timer = threading.Timer(NOTICE_DELAY, _say_compiling)
     timer.daemon = True
     timer.start()
     try:

@@ -267,7 +267,7 @@ def as_mapping(config: Any) -> dict[str, Any]:
     return asdict(config)
 
 
-def noise_from_name(noise: str | NoiseConfig | Mapping[str, Any]) -> NoiseConfig:
+def noise_from_name(noise: str | NoiseConfig | Mapping[str, Any] | None) -> NoiseConfig:
     """Return the noise preset of that name, or `noise` itself where it already is a setting.
 
     Raises
@@ -275,6 +275,8 @@ def noise_from_name(noise: str | NoiseConfig | Mapping[str, Any]) -> NoiseConfig
     ConfigError
         If there is no such preset; the message lists them.
     """
+    if noise is None:
+        raise ConfigError(f"noise is None; expected a preset ({', '.join(NOISE_PRESETS)}) or a NoiseConfig.")
     if isinstance(noise, str):
         if noise not in NOISE_PRESETS:
             raise ConfigError(unknown_name("noise preset", noise, NOISE_PRESETS))

@@ -21,6 +21,10 @@ from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.floor_plans.wall_tiles import GRID
 
 
+ROUNDING = 1e-9
+"""Cells. A beam that ends at a wall on a grid line must not enter the cell behind it by rounding."""
+
+
 class CoverageGrid(NamedTuple):
     """The cells of a pool of P plans, and which of them each of N robots has seen.
 
@@ -112,7 +116,7 @@ def mark_scan(squares, size, number, seen, x, y, heading, directions, ranges):
     for beam in range(ranges.shape[0]):
         ux = cos * directions[0, beam] - sin * directions[1, beam]
         uy = sin * directions[0, beam] + cos * directions[1, beam]
-        reach = ranges[beam] / size
+        reach = ranges[beam] / size - ROUNDING
         # The beam enters the next column after next_x, and one more after every per_column (likewise rows).
         column_step, row_step = (1 if ux > 0 else -1), (1 if uy > 0 else -1)
         per_column = 1 / abs(ux) if ux != 0 else math.inf

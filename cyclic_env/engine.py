@@ -7,12 +7,14 @@ between rows but the buildings, and the compiled code does no arithmetic across 
 
 from __future__ import annotations
 
+import inspect
 import math
 import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import shapely
@@ -102,6 +104,7 @@ OUTCOME = np.dtype(
         ("contact", "?"),
         ("cells_seen", "i8"),
         ("cells_paid", "i8"),  # those of them that the reward has paid for
+        ("episode_return", "f8"),  # sum of the rewards since the reset
     ]
 )
 """What a step brought."""
@@ -143,6 +146,7 @@ def engine_config(
     closure: ClosureConfig | Mapping[str, Any] | None = None,
     coverage: CoverageConfig | Mapping[str, Any] | None = None,
     reward: RewardConfig | Mapping[str, Any] | None = None,
+    **unknown: Any,
 ) -> EngineConfig:
     """Check the arguments that both environments take, and load their floor plans.
 
@@ -151,6 +155,9 @@ def engine_config(
     ConfigError, FloorPlanError
         One line that says what is wrong and what to do.
     """
+    for name in unknown:
+        known = [name for name in inspect.signature(engine_config).parameters if name != "unknown"]
+        raise ConfigError(unknown_name("argument", name, [*known, "render_mode"]))
     if action_type not in ACTION_TYPES:
         raise ConfigError(unknown_name("action type", action_type, ACTION_TYPES))
     for name, value in (("random_start", random_start), ("terminate_on_collision", terminate_on_collision)):
@@ -178,7 +185,7 @@ def engine_config(
     for plan in config.plans:
         if config.step_budget_of(plan) > STEP_BUDGET_MAX:
             raise ConfigError(
-                f"floor plan {plan.name!r} is so large that its step budget is over {STEP_BUDGET_MAX}; give step_budget."
+                f"floor plan {plan.name!r} is so large that its step budget exceeds {STEP_BUDGET_MAX}; give one."
             )
     return config
 
@@ -227,6 +234,9 @@ class Engine:
     outcome : (N,) array of `OUTCOME`
     """
 
+    _warm: ClassVar[bool] = False
+    """Whether this process has stepped an engine, so that its kernels are compiled."""
+
     def __init__(self, config: EngineConfig, num_robots: int) -> None:
         self.config = config
         self.num_robots = num_robots
@@ -266,7 +276,6 @@ class Engine:
         self._claimed = np.full(num_robots, NO_CLAIM, np.int64)
         self._shares: list[tuple[list[World], np.ndarray]] = []
         self._threads: ThreadPoolExecutor | None = None
-        self._warm = False
 
     def reset_row(self, row: int, rng: np.random.Generator, start: Any = None) -> None:
         """Begin an episode of one robot; draws from `rng` the plan, the start, and the sensors' errors.
@@ -295,7 +304,7 @@ class Engine:
         self.simulation.place(row, plan, pose)
         self._shares = []
         self.sensors.reset_row(row, rng)
-        with compile_notice():
+        with self._compiling():
             begin_episode(self.buildings, self.episodes, row, pose[0], pose[1], pose[2])
 
     def measure(self, rows: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
@@ -324,12 +333,12 @@ class Engine:
         shares = self._shares
         if skip is not None and skip.any():
             shares = [(worlds, rows[~skip[rows]]) for worlds, rows in shares]
-        if self._warm:
+        with self._compiling():
             self._step_shares(shares, rngs)
-        else:
-            with compile_notice():
-                self._step_shares(shares, rngs)
-            self._warm = True
+        Engine._warm = True
+
+    def _compiling(self) -> AbstractContextManager[None]:
+        return nullcontext() if Engine._warm else compile_notice()
 
     def _step_shares(self, shares: list[tuple[list[World], np.ndarray]], rngs: Sequence[np.random.Generator]) -> None:
         first, *others = shares
@@ -391,7 +400,7 @@ class Engine:
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise FloorPlanError(f"start is {start!r}; expected (x, y, heading) in metres and radians, all finite.")
         if not shapely.intersects_xy(self._reachable[plan], pose[0], pose[1]):
-            self.config.plans[plan].reachable(self.config.robot.radius, pose)  # raises, with the reason
+            self.config.plans[plan].reachable(self.config.robot.radius, pose.tolist())  # raises, with the reason
         return pose
 
     def _random_start(self, plan: int, rng: np.random.Generator) -> tuple[float, float, float]:
@@ -404,7 +413,7 @@ class Engine:
                 return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
 
     def observation(self) -> dict[str, np.ndarray]:
-        """Return the last readings as new float32 arrays: laser `(N, num_beams)`, distance `(N, 1)`, compass `(N, 2)`."""
+        """Return the last readings, new float32 arrays: laser `(N, num_beams)`, distance `(N, 1)`, compass `(N, 2)`."""
         return {
             "laser": self.sensors.ranges.astype(np.float32),
             "distance": self.sensors.distance[:, None].astype(np.float32),
@@ -415,6 +424,14 @@ class Engine:
         """Return the true way of a robot since its reset, `(t + 1, 3)`: x, y and path length, metres."""
         memory = self.episodes.memory
         return memory.track[row, : memory.status["steps"][row] + 1].copy()
+
+    def claims(self, row: int) -> np.ndarray:
+        """Return the judged claims of a robot since its reset, in order: an `(n,)` array of `CLAIM`.
+
+        Their places are ``trajectory(row)[claims["step"]]`` and, but for a match of -1, ``[claims["match"]]``.
+        """
+        memory = self.episodes.memory
+        return memory.claims[: memory.status["claims"][row], row].copy()
 
     def seen_cells(self, row: int) -> np.ndarray:
         """Return what a robot has seen of its plan; see `cyclic_env.coverage.seen_cells`."""
@@ -510,7 +527,7 @@ def begin_episode(buildings, episodes, row, x, y, heading):
     grid.seen[row] = False
     outcome = episodes.outcome[row]
     outcome.reward, outcome.terminated, outcome.truncated, outcome.contact = 0.0, False, False, False
-    outcome.cells_paid = 0
+    outcome.cells_paid, outcome.episode_return = 0, 0.0
     outcome.cells_seen = mark_scan(
         grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, buildings.directions, ranges
     )
@@ -561,6 +578,7 @@ def step_rows(buildings, episodes, rows, claimed):
             episodes.terms[row],
         )
         outcome.cells_paid = outcome.cells_seen
+        outcome.episode_return += outcome.reward
 
 
 @compiled

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -18,7 +18,7 @@ RENDER_MODES = ("human", "rgb_array")
 
 
 class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
-    """A robot explores a building full of loops, and must say when it is back at a place that it knows, and at which one.
+    """A robot explores a building full of loops, and must say when it is back at a place that it knows, and which.
 
     The robot has two wheels, a laser, a distance meter and a compass. Corridors close on themselves: a *cycle*
     is a block of the building that the robot can drive around. At every step the robot may claim to be back where
@@ -30,52 +30,58 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     | type | space | meaning |
     |---|---|---|
-    | ``"wheels"`` (default) | ``Box(-1, 1, (4,), float32)`` | left wheel, right wheel (shares of 1.2 m/s), claim, match |
-    | ``"twist"`` | ``Box(-1, 1, (4,), float32)`` | v (x 1.2 m/s), omega (x 3 rad/s), claim, match; v and omega shrink together at the wheels' limit |
-    | ``"discrete"`` | ``MultiDiscrete([5, 2])`` | stop, forward, left, right (turns on the spot, 0.9 rad/s) or back; claim or not |
+    | ``"wheels"`` (default) | ``Box(-1, 1, (4,), float32)`` | left and right wheel (x 1.2 m/s), claim, match |
+    | ``"twist"`` | ``Box(-1, 1, (4,), float32)`` | v (x 1.2 m/s), omega (x 3 rad/s), claim, match |
+    | ``"discrete"`` | ``MultiDiscrete([5, 2])`` | stop, forward, left, right, back; claim or not |
 
     A claim above 0 says "I am back at a known place", and match says when the robot was here: at step
     ``k = rint((match + 1) / 2 * t)`` of the t steps so far, this one counted; k = 0 is the start. With discrete
-    actions the environment itself takes the nearest step that counts as the same place. Values out of range are clipped.
+    actions the environment itself takes the nearest step that counts as the same place, and left and right turn
+    on the spot at 0.9 rad/s. Values out of range are clipped; a twist beyond the wheels' limit shrinks as a whole.
 
     **Observation space**, a ``Dict`` of float32:
 
     | key | space | meaning |
     |---|---|---|
     | ``laser`` | ``Box(0, 12, (180,))`` | ranges in metres, beam 0 straight ahead, counter-clockwise, 2 degrees apart |
-    | ``distance`` | ``Box(-1e5, 1e5, (1,))`` | metres driven along the heading since the reset; reverse subtracts, spinning wheels add nothing |
+    | ``distance`` | ``Box(-1e5, 1e5, (1,))`` | metres driven along the heading; reverse subtracts |
     | ``compass`` | ``Box(-1, 1, (2,))`` | unit vector of the heading, east and north |
 
+    Wheels that spin at a wall add no distance.
     Dead reckoning is ``position += (distance - previous_distance) * compass``.
 
     **Reward**: the sum of ``info["reward_terms"]``; a perfect episode is worth 100 less its time.
 
     | term | worth |
     |---|---|
-    | ``coverage`` | 50 x share of the free cells newly seen (100 where the building has no cycle); the start's scan is paid in step 1 |
+    | ``coverage`` | 50 x share of the free cells newly seen (100 where the building has no cycle) |
     | ``new_cycle`` | 50 / cycles of the building, for each one closed |
     | ``false_claim`` | -5 for each |
     | ``missed_revisit`` | -1 for each stretch of known ground that the robot passed without a correct claim |
     | ``collision`` | -40 / step budget, for each step in which a wall pushed back |
     | ``time`` | -10 / step budget, for each step |
 
+    What the scan at the start sees is paid in the first step.
+
     **Info** holds the same keys at every reset and step, Python scalars all but the last: ``is_success``,
-    ``coverage`` (share of the free cells seen), ``cycles_closed``, ``cycles_total``, ``revisit`` (the truth at this step),
-    ``claim_judged``, ``claim_correct``, ``claim_error_m`` (distance between the two places of a judged claim; 0.0 without
-    one), ``claims`` (judged so far), ``false_claims``, ``revisits`` (settled so far), ``revisits_recognised``,
-    ``precision``, ``recall`` (1.0 where nothing could be wrong), ``new_cycle``, ``collisions`` (contacts begun),
-    ``path_length_m``, ``x``, ``y``, ``heading`` (the truth), ``reward_terms`` (dict of floats).
+    ``coverage`` (share of the free cells seen), ``cycles_closed``, ``cycles_total``, ``revisit`` (the truth at this
+    step), ``claim_judged``, ``claim_correct``, ``claim_error_m`` (distance between the two places of a judged claim;
+    0.0 without one), ``claims`` (judged so far), ``false_claims``, ``revisits`` (settled so far),
+    ``revisits_recognised``, ``precision``, ``recall`` (1.0 where nothing could be wrong), ``new_cycle``,
+    ``collisions`` (contacts begun), ``path_length_m``, ``x``, ``y``, ``heading`` (the truth), ``reward_terms`` (dict
+    of floats).
     What a revisit, a claim and a cycle are is defined in `cyclic_env.loop_closure`.
 
     **Start**: the plan's own, at rest; or ``reset(options={"start": (x, y, heading)})``; or random with `random_start`.
 
-    **Episode end**: terminated when 99 % of the cells are seen and all cycles are closed (``is_success``), or at the first
-    contact with ``terminate_on_collision=True``; truncated after `step_budget` steps.
+    **Episode end**: terminated when 99 % of the cells are seen and all cycles are closed (``is_success``), or at the
+    first contact with ``terminate_on_collision=True``; truncated after `step_budget` steps.
 
     Parameters
     ----------
     map_name : str, path, FloorPlan, or a list of these
-        A shipped plan (``cyclic_env.map_names()``), a YAML file, or a plan itself. A list is a pool: every reset draws one.
+        A shipped plan (``cyclic_env.map_names()``), a YAML file, or a plan itself. A list is a pool: every reset
+        draws one.
     noise : str, NoiseConfig or mapping
         Preset of the sensors' errors: ``"ideal"``, ``"calibrated"``, ``"typical"``, ``"poor"``; or your own.
     action_type : {"wheels", "twist", "discrete"}
@@ -105,7 +111,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     cyclic environments using the Atlas framework, IJRR 23(12), 2004.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": list(RENDER_MODES), "render_fps": 5}
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (Gymnasium's own)
 
     def __init__(
         self,

@@ -11,9 +11,15 @@ REWARD_TERMS = ("coverage", "new_cycle", "false_claim", "missed_revisit", "colli
 
 
 def reward_weights(config: RewardConfig, cycles_total: np.ndarray, step_budget: np.ndarray) -> np.ndarray:
-    """Return what a unit of each term is worth, `(P, 6)`, in plans of `cycles_total` `(P,)` cycles and `step_budget` `(P,)` steps.
+    """Return what a unit of each term is worth, `(P, 6)`.
 
     The units are: all free cells newly seen, a cycle, a false claim, a missed revisit, a step in contact, a step.
+
+    Parameters
+    ----------
+    config : RewardConfig
+    cycles_total, step_budget : (P,) int64
+        Of each plan.
     """
     ones = np.ones(len(cycles_total))
     columns = {

@@ -124,7 +124,7 @@ def observe_step(bodies, rows, drive):
 
 
 class BodyBatch:
-    """`get_space_bodies` and `set_space_bodies` of `pymunk.batch`, prepared once: their set-up costs more than their work."""
+    """A batch call of `pymunk.batch`, prepared once: there, each call's set-up costs more than its work."""
 
     def __init__(self, fields: BodyFields, floats: np.ndarray) -> None:
         self._buffer = Buffer()
@@ -144,10 +144,11 @@ class World:
     """One Space with the walls of one floor plan and up to `WORLD_SIZE` robots."""
 
     def __init__(self, plan: FloorPlan) -> None:
+        self.plan = plan
         self.space = pymunk.Space()
         self.space.collision_slop = COLLISION_SLOP
         for ring in plan.rings:
-            corners = [tuple(map(float, corner)) for corner in ring]
+            corners = [(float(x), float(y)) for x, y in ring]
             for i, corner in enumerate(corners):
                 following = corners[(i + 1) % len(corners)]
                 wall = pymunk.Segment(self.space.static_body, corner, following, 0.0)
@@ -233,20 +234,25 @@ class Simulation:
         world = self._world_of.get(row)
         if world is None or self.plan_of[row] != plan:
             if world is not None:
-                world.remove(row)
+                self._leave(world, row)
             self.plan_of[row] = plan
             world = self._world_of[row] = self._world_with_room(plan)
-            self.worlds = [world for world in dict.fromkeys(self._world_of.values())]
         body = pymunk.Body(self.robot.mass, self._inertia)
         body.position, body.angle = (float(position[0]), float(position[1])), float(angle)
         body.velocity, body.angular_velocity = velocity, omega
         world.add(row, body, self.robot.radius)
 
     def _world_with_room(self, plan: int) -> World:
-        for row, world in self._world_of.items():
-            if self.plan_of[row] == plan and len(world.bodies) < WORLD_SIZE:
+        for world in self.worlds:
+            if world.plan is self.plans[plan] and len(world.bodies) < WORLD_SIZE:
                 return world
-        return World(self.plans[plan])
+        self.worlds.append(World(self.plans[plan]))
+        return self.worlds[-1]
+
+    def _leave(self, world: World, row: int) -> None:
+        world.remove(row)
+        if not world.bodies:
+            self.worlds.remove(world)
 
     def drive_world(self, world: World, commands: np.ndarray) -> None:
         """Drive the robots of one Space for a control step.

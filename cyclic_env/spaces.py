@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from gymnasium import spaces
 
@@ -13,14 +15,14 @@ DISTANCE_MAX = 1e5
 NUM_DRIVES = 5
 
 
-def action_space(action_type: ActionType) -> spaces.Space:
+def action_space(action_type: ActionType) -> spaces.Space[Any]:
     """Return the action space of a robot that takes actions of that type."""
     if action_type == "discrete":
         return spaces.MultiDiscrete([NUM_DRIVES, 2])
     return spaces.Box(-1.0, 1.0, (4,), np.float32)
 
 
-def observation_space(laser: LaserConfig) -> spaces.Dict:
+def observation_space(laser: LaserConfig) -> spaces.Space[Any]:
     """Return the observation space of a robot with that laser."""
     return spaces.Dict(
         laser=spaces.Box(0.0, laser.range_max, (laser.num_beams,), np.float32),

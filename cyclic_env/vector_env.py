@@ -109,7 +109,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         """Step every row, and reset those that the autoreset mode says."""
         if not self._placed.all():
             raise UsageError("step() needs a running episode in every row: call reset() first.")
-        ended = self._ended
+        ended = self._ended.copy()
         if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
             rows = np.flatnonzero(ended).tolist()
             raise UsageError(
@@ -159,11 +159,12 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         """Return a copy of the values, zero outside the mask."""
         return values.copy() if mask is self._all else np.where(mask, values, np.zeros((), values.dtype))
 
-    def _final_observation(self, ended: np.ndarray) -> dict[str, Any]:
-        final: dict[str, Any] = {}
-        for name, value in self.engine.observation().items():
-            value[~ended] = 0
-            final[name], final[f"_{name}"] = value, ended
+    def _final_observation(self, ended: np.ndarray) -> np.ndarray:
+        """Return the last observations of the episodes that ended, as Gymnasium does: an array of dicts, or None."""
+        final = np.full(self.num_envs, None, dtype=object)
+        observation = self.engine.observation()
+        for row in np.flatnonzero(ended):
+            final[row] = {name: value[row] for name, value in observation.items()}
         return final
 
     def _seed(self, seeds: Sequence[int | None], mask: np.ndarray | None = None) -> None:

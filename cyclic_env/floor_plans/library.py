@@ -73,7 +73,7 @@ def load_floor_plans(map_name: MapName | Sequence[MapName]) -> tuple[FloorPlan, 
     """
     if isinstance(map_name, str | os.PathLike | FloorPlan):
         return (load_floor_plan(map_name),)
-    if not isinstance(map_name, Sequence) or not map_name:
+    if not isinstance(map_name, Sequence) or isinstance(map_name, bytes) or not map_name:
         raise FloorPlanError(
             f"a map is a name, a path, a FloorPlan, or a list of these that is not empty; got {map_name!r}."
         )

@@ -54,7 +54,7 @@ def build_wall_tiles(plans: Sequence[FloorPlan], reach: float) -> WallTiles:
         boxes = shapely.box(x.ravel(), y.ravel(), x.ravel() + TILE_SIZE, y.ravel() + TILE_SIZE)
         shapely.prepare(plan.free_space)
         used = np.flatnonzero(shapely.intersects(plan.free_space, boxes))
-        tree = shapely.STRtree(shapely.linestrings(plan.walls.reshape(-1, 2, 2)))
+        tree = shapely.STRtree([shapely.LineString([wall[:2], wall[2:]]) for wall in plan.walls])
         tile, wall = tree.query(boxes[used], predicate="dwithin", distance=reach + 1e-6)
         tile = used[tile]
         x1, y1, x2, y2 = plan.walls[wall].T
