@@ -9,12 +9,17 @@ import gymnasium
 import numpy as np
 
 from cyclic_env.engine import INFO, Engine, engine_config
-from cyclic_env.errors import ConfigError, UsageError, unknown_name
+from cyclic_env.errors import UsageError
 from cyclic_env.floor_plans import FloorPlan, MapName
+from cyclic_env.interface import (
+    RENDER_FPS,
+    RENDER_MODES,
+    action_space,
+    checked_render_mode,
+    observation_space,
+    start_option,
+)
 from cyclic_env.rewards import REWARD_TERMS
-from cyclic_env.spaces import action_space, observation_space
-
-RENDER_MODES = ("human", "rgb_array")
 
 
 class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
@@ -111,7 +116,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     cyclic environments using the Atlas framework, IJRR 23(12), 2004.
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (Gymnasium's own)
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
 
     def __init__(
         self,
@@ -120,12 +125,10 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         render_mode: str | None = None,
         **settings: Any,
     ) -> None:
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ConfigError(unknown_name("render mode", render_mode, RENDER_MODES))
         self.engine = Engine(engine_config(map_name=map_name, **settings), num_robots=1)
         self.action_space = action_space(self.engine.config.action_type)
         self.observation_space = observation_space(self.engine.config.laser)
-        self.render_mode = render_mode
+        self.render_mode = checked_render_mode(render_mode)
         self._running = False
         self._renderer: Any = None
 
@@ -218,17 +221,3 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_renderer": None}
-
-
-def start_option(options: dict[str, Any] | None, *known: str) -> Any:
-    """Return the start that the options of a reset name, or None.
-
-    Raises
-    ------
-    ConfigError
-        If they hold anything but a start and the other `known` options.
-    """
-    for name in options or {}:
-        if name not in ("start", *known):
-            raise ConfigError(unknown_name("reset option", name, ("start", *known)))
-    return (options or {}).get("start")

@@ -11,11 +11,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 from cyclic_env.engine import INFO, Engine, engine_config
-from cyclic_env.env import RENDER_MODES, start_option
 from cyclic_env.errors import ConfigError, FloorPlanError, UsageError, unknown_name
 from cyclic_env.floor_plans import FloorPlan, MapName
+from cyclic_env.interface import (
+    RENDER_FPS,
+    RENDER_MODES,
+    action_space,
+    checked_render_mode,
+    observation_space,
+    start_option,
+)
 from cyclic_env.rewards import REWARD_TERMS
-from cyclic_env.spaces import action_space, observation_space
 
 
 class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
@@ -37,7 +43,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         As for `CyclicLoopEnv`; ``reset(options={"start": ...})`` takes (3,) or (N, 3).
     """
 
-    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": 5}  # noqa: RUF012 (Gymnasium's own)
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
     _terminal: ClassVar[tuple[str, str]] = ("final_obs", "final_info")
 
     def __init__(
@@ -56,8 +62,6 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
             raise ConfigError(
                 f"max_episode_steps is {max_episode_steps!r}; expected a whole number of at least 1, or None."
             )
-        if render_mode is not None and render_mode not in RENDER_MODES:
-            raise ConfigError(unknown_name("render mode", render_mode, RENDER_MODES))
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.engine = Engine(engine_config(map_name=map_name, **settings), num_envs)
@@ -66,7 +70,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         self.single_observation_space = observation_space(self.engine.config.laser)
         self.action_space = batch_space(self.single_action_space, num_envs)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.render_mode = render_mode
+        self.render_mode = checked_render_mode(render_mode)
         self.max_episode_steps = max_episode_steps
         self._rngs: list[np.random.Generator] = []
         self._seeds: list[int] = []
