@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
 import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
+from pathlib import Path
 from typing import Any
 
 from numba import njit
@@ -22,7 +24,19 @@ def compiled(function: Callable[..., Any]) -> Any:
     Kernels make no arrays and keep none, so they count no references to them (`_nrt`): counting is atomic,
     and made two threads on the same arrays slower than one.
     """
-    return njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)  # pyright: ignore[reportCallIssue]
+    kernel: Any = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)  # pyright: ignore[reportCallIssue]
+    # numba's cache only asks whether a kernel's own file has changed; but other files' kernels are compiled into it.
+    kernel._cache._cache_file._source_stamp = _sources_digest(Path(function.__code__.co_filename).parent)
+    return kernel
+
+
+@cache
+def _sources_digest(folder: Path) -> str:
+    """Return a digest of this package's sources and of those in `folder`."""
+    digest = hashlib.sha256()
+    for path in sorted({*Path(__file__).parent.rglob("*.py"), *folder.glob("*.py")}):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def inlined(function: Callable[..., Any]) -> Any:

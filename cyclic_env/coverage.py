@@ -20,7 +20,6 @@ from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.floor_plans.wall_tiles import GRID
 
-
 ROUNDING = 1e-9
 """Cells. A beam that ends at a wall on a grid line must not enter the cell behind it by rounding."""
 

@@ -431,7 +431,7 @@ class Engine:
         Their places are ``trajectory(row)[claims["step"]]`` and, but for a match of -1, ``[claims["match"]]``.
         """
         memory = self.episodes.memory
-        return memory.claims[: memory.status["claims"][row], row].copy()
+        return memory.claims[row, : memory.status["claims"][row]].copy()
 
     def seen_cells(self, row: int) -> np.ndarray:
         """Return what a robot has seen of its plan; see `cyclic_env.coverage.seen_cells`."""

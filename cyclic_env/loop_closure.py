@@ -22,6 +22,7 @@ every visit the box around its positions.
 from __future__ import annotations
 
 import math
+import mmap
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -69,6 +70,9 @@ VISIT = np.dtype(
 )
 """A visit: its first step, the next visit of the same cell (-1: none), and the box around its positions."""
 
+CLAIM = np.dtype([("step", "i4"), ("match", "i4"), ("correct", "?"), ("new_cycle", "?")])
+"""A judged claim: the step of the claim, the step that it named (-1: there was none to name), and the judgement."""
+
 NO_CLAIM, NEAREST = -2, -1
 """In place of a claimed step: no claim is made; let the truth choose the nearest step that t returns to."""
 
@@ -88,6 +92,8 @@ class ClosureMemory(NamedTuple):
         Signed crossings of each hole's cut, from the reset to step ``VISIT_STEPS * i``; the last one runs on.
     basis : (N, C, C) int64
         Winding vectors of the closed cycles, reduced, modulo `PRIME`.
+    claims : (N, T) CLAIM
+        The judged claims, in order.
     grids : (P,) GRID
         Cells of each plan.
     cell_size : float
@@ -104,6 +110,7 @@ class ClosureMemory(NamedTuple):
     cells: np.ndarray
     marks: np.ndarray
     basis: np.ndarray
+    claims: np.ndarray
     grids: np.ndarray
     cell_size: float
     anchors: np.ndarray
@@ -120,6 +127,7 @@ class Path(NamedTuple):
     cells: np.ndarray
     marks: np.ndarray
     basis: np.ndarray
+    claims: np.ndarray
 
 
 class Ground(NamedTuple):
@@ -153,7 +161,7 @@ def allocate_memory(
 ) -> ClosureMemory:
     """Make room for the paths of `num_robots` robots of at most `max_steps` steps.
 
-    Pages that are not used take no memory, so room for long episodes costs nothing in short ones.
+    Room for long episodes costs nothing in short ones: see `_lazy_array`.
 
     Raises
     ------
@@ -174,22 +182,36 @@ def allocate_memory(
     try:
         return ClosureMemory(
             status=np.zeros(num_robots, STATUS),
-            track=np.empty((num_robots, max_steps + 1, 3)),
-            visits=np.empty((num_robots, max_steps + 1), VISIT),
+            track=_lazy_array((num_robots, max_steps + 1, 3), np.dtype(np.float64)),
+            visits=_lazy_array((num_robots, max_steps + 1), VISIT),
             cells=np.empty((num_robots, int((grids["columns"] * grids["rows"]).max()), 2), np.int32),
             marks=np.empty((num_robots, max_steps // VISIT_STEPS + 2, most), np.int64),
             basis=np.empty((num_robots, most, most), np.int64),
+            claims=_lazy_array((num_robots, max_steps), CLAIM),
             grids=grids,
             cell_size=size,
             anchors=anchors,
             cycles_total=cycles_total,
             sight=build_wall_tiles(plans, config.return_radius),
         )
-    except MemoryError as error:
+    except (MemoryError, OSError, ValueError, OverflowError) as error:
         raise ConfigError(
             f"there is not enough memory for the paths of {num_robots} robots over {max_steps} steps; "
             "lower num_envs or step_budget."
         ) from error
+
+
+def _lazy_array(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """Return a zeroed array that takes memory page by page, as its rows fill.
+
+    NumPy asks for huge pages for large arrays, so that the first step of every row would take all of the memory.
+    """
+    size = math.prod(shape) * dtype.itemsize
+    if not hasattr(mmap, "MADV_NOHUGEPAGE"):
+        return np.zeros(shape, dtype)
+    pages = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
+    pages.madvise(mmap.MADV_NOHUGEPAGE)
+    return np.frombuffer(pages, dtype).reshape(shape)
 
 
 @inlined
@@ -202,6 +224,7 @@ def path_of(memory, row):
         memory.cells[row],
         memory.marks[row],
         memory.basis[row],
+        memory.claims[row],
     )
 
 
@@ -247,8 +270,9 @@ def _forget_last_step(status):
 
 @compiled
 def advance(path, ground, rules, x, y):
-    """Take the robot's next step, to (x, y): is it a revisit, does an event begin or settle?"""
+    """Take the robot's next step, to (x, y), and see whether it is a revisit and whether an event begins or settles."""
     status, track = path.status, path.track
+    run_before = status.revisit
     _forget_last_step(status)
     x_before, y_before = track[status.steps, 0], track[status.steps, 1]
     status.steps += 1
@@ -260,7 +284,8 @@ def advance(path, ground, rules, x, y):
     _record_visit(path, ground, x, y)
     status.revisit = find_return(path, ground, rules, False) >= 0
 
-    if status.event_open and status.path - status.event_last >= rules.event_gap:
+    run_goes_on = run_before and status.revisit  # however small the event gap, or long the step
+    if status.event_open and not run_goes_on and status.path - status.event_last >= rules.event_gap:
         settle_event(status, rules)
     if status.revisit:
         if not status.event_open:
@@ -299,6 +324,8 @@ def judge_claim(path, ground, rules, claimed):
             if not correct:
                 return
         status.claim_error = math.sqrt(dx * dx + dy * dy)
+    claim = path.claims[status.claims]
+    claim.step, claim.match = status.steps, claimed
     status.claim_judged = True
     status.claims += 1
     status.judged_path = status.path
@@ -308,6 +335,7 @@ def judge_claim(path, ground, rules, claimed):
         _close_cycle(path, ground, claimed)
     else:
         status.false_claims += 1
+    claim.correct, claim.new_cycle = correct, status.new_cycle
 
 
 @compiled
@@ -370,7 +398,10 @@ def find_return(path, ground, rules, nearest):
             while visit >= 0 and path.visits[visit].first <= last:
                 if not last_known:
                     last, last_known = min(last, _last_away(path, rules) - 1), True
-                for k in range(path.visits[visit].first, min(_visit_end(path, visit), last + 1)):
+                box = path.visits[visit]
+                dx, dy = max(box.west - x, x - box.east, 0.0), max(box.south - y, y - box.north, 0.0)
+                end = min(_visit_end(path, visit), last + 1) if dx * dx + dy * dy <= best_square else 0
+                for k in range(box.first, end):
                     dx, dy = track[k, 0] - x, track[k, 1] - y
                     square = dx * dx + dy * dy
                     better = square < best_square or (square == best_square and (best < 0 or k < best))
@@ -425,7 +456,7 @@ def in_sight(tiles, plan, ax, ay, bx, by):
 
 @compiled
 def _crossing(anchor, ax, ay, bx, by):
-    """Return +1 or -1 if the line from a to b crosses the cut due north of the anchor to the west or the east, else 0."""
+    """Return +1 if the line from a to b crosses the cut due north of the anchor to the west, -1 to the east, else 0."""
     if (ax < anchor[0]) == (bx < anchor[0]):
         return 0
     y = ay + (anchor[0] - ax) * (by - ay) / (bx - ax)
@@ -447,7 +478,7 @@ def _count_crossings(path, ground, ax, ay, bx, by):
 
 @compiled
 def loop_windings(path, ground, k, windings):
-    """Write how often the path from step k to the last one, closed by a straight line, winds around each cycle `(C,)`."""
+    """Write how often the path from step k on, closed by a straight line, winds around each of the cycles `(C,)`."""
     track, t = path.track, path.status.steps
     total, mark = path.marks[t // VISIT_STEPS + 1], path.marks[k // VISIT_STEPS]
     for cycle in range(ground.anchors.shape[0]):

@@ -38,7 +38,8 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         that ends an episode returns the first observation of the next one, and the last one in ``infos["final_obs"]``
         and ``infos["final_info"]``. ``DISABLED``: reset by ``reset(options={"reset_mask": mask})``.
     max_episode_steps : int, optional
-        Truncates earlier than the step budget, and changes nothing else, as Gymnasium's ``TimeLimit`` does.
+        Truncates earlier than the step budget, and changes nothing else, as Gymnasium's ``TimeLimit`` does: a revisit
+        that is going on then does not settle.
     map_name, render_mode and all others
         As for `CyclicLoopEnv`; ``reset(options={"start": ...})`` takes (3,) or (N, 3).
     """

@@ -115,7 +115,7 @@ def random_actions(num_envs: int) -> np.ndarray:
 
 
 def driving_actions(num_envs: int) -> np.ndarray:
-    """Return actions that drive at full speed, turn now and then, and meet walls: the robots spread over the building."""
+    """Return actions that drive at full speed, turn now and then, and meet walls, so that the robots spread."""
     rng = np.random.default_rng(0)
     actions = random_actions(num_envs)
     actions[..., :2] = 1.0

@@ -64,7 +64,10 @@ def test_importing_the_package_is_quick_and_loads_no_heavy_library() -> None:
 
 
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
-def test_gymnasiums_checker_has_no_warning_on_any_plan(plan: cyclic_env.FloorPlan, action_type: str) -> None:
+def test_gymnasiums_checker_has_no_warning_on_any_plan(
+    plan: cyclic_env.FloorPlan, action_type: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # it opens a window as well
     env = gymnasium.make("CyclicLoop-v0", map_name=plan.name, action_type=action_type, render_mode="rgb_array")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
