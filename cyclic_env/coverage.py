@@ -31,7 +31,7 @@ class CoverageGrid(NamedTuple):
     ----------
     cell_size : float
     grids : (P,) GRID
-        The cells of each plan.
+        The cells of each plan, and a ring of spare ones around them.
     number : (cells,) int32
         Each cell's place among the free cells of its plan; -1 where the centre is not free.
     cells_total : (P,) int64
@@ -58,7 +58,9 @@ def build_coverage_grid(plans: Sequence[FloorPlan], num_robots: int, config: Cov
     grids, numbers, first = [], [], 0
     for plan in plans:
         west, south, east, north = plan.bounds
-        columns, rows = math.ceil((east - west) / size), math.ceil((north - south) / size)
+        # With a ring of spare cells, so that no beam's way needs watching for the grid's end.
+        west, south = west - size, south - size
+        columns, rows = math.ceil((east - west) / size) + 1, math.ceil((north - south) / size) + 1
         x, y = np.meshgrid(west + size * (np.arange(columns) + 0.5), south + size * (np.arange(rows) + 0.5))
         shapely.prepare(plan.free_space)
         free = shapely.contains_xy(plan.free_space, x.ravel(), y.ravel())
@@ -82,8 +84,8 @@ def build_coverage_grid(plans: Sequence[FloorPlan], num_robots: int, config: Cov
 def seen_cells(grid: CoverageGrid, row: int, plan: int) -> np.ndarray:
     """Return what a robot has seen as a picture `(rows, columns)` int8, south first: -1 not free, 0 unseen, 1 seen."""
     _, _, columns, rows, first = grid.grids[plan]
-    number = grid.number[first : first + columns * rows]
-    return np.where(number < 0, -1, grid.seen[row][number]).astype(np.int8).reshape(rows, columns)
+    number = grid.number[first : first + columns * rows].reshape(rows, columns)[1:-1, 1:-1]
+    return np.where(number < 0, -1, grid.seen[row][number]).astype(np.int8)
 
 
 @compiled
@@ -106,38 +108,38 @@ def mark_scan(squares, size, number, seen, x, y, heading, directions, ranges):
     ranges : (num_beams,) float64
         Where each beam ends, metres.
     """
-    columns, rows, first = squares.columns, squares.rows, squares.first
+    columns = squares.columns
     cos, sin = math.cos(heading), math.sin(heading)
     # In units of a cell, from the grid's corner.
     start_x, start_y = (x - squares.west) / size, (y - squares.south) / size
-    start_column, start_row = int(start_x), int(start_y)
+    column, row = int(start_x), int(start_y)
+    start = squares.first + row * columns + column
     new = 0
     for beam in range(ranges.shape[0]):
         ux = cos * directions[0, beam] - sin * directions[1, beam]
         uy = sin * directions[0, beam] + cos * directions[1, beam]
         reach = ranges[beam] / size - ROUNDING
         # The beam enters the next column after next_x, and one more after every per_column (likewise rows).
-        column_step, row_step = (1 if ux > 0 else -1), (1 if uy > 0 else -1)
         per_column = 1 / abs(ux) if ux != 0 else math.inf
         per_row = 1 / abs(uy) if uy != 0 else math.inf
-        next_x = (
-            ((start_column + 1 - start_x) if ux > 0 else (start_x - start_column)) * per_column if ux != 0 else math.inf
-        )
-        next_y = ((start_row + 1 - start_y) if uy > 0 else (start_y - start_row)) * per_row if uy != 0 else math.inf
-        column, line = start_column, start_row
-        while 0 <= column < columns and 0 <= line < rows:
-            cell = number[first + line * columns + column]
+        next_x, next_y = math.inf, math.inf
+        if ux != 0:
+            next_x = ((column + 1 - start_x) if ux > 0 else (start_x - column)) * per_column
+        if uy != 0:
+            next_y = ((row + 1 - start_y) if uy > 0 else (start_y - row)) * per_row
+        column_step, row_step = (1 if ux > 0 else -1), (columns if uy > 0 else -columns)
+        i = start
+        while True:
+            cell = number[i]
             if cell >= 0 and not seen[cell]:
                 seen[cell] = True
                 new += 1
+            if min(next_x, next_y) >= reach:
+                break
             if next_x < next_y:
-                if next_x >= reach:
-                    break
-                column += column_step
+                i += column_step
                 next_x += per_column
             else:
-                if next_y >= reach:
-                    break
-                line += row_step
+                i += row_step
                 next_y += per_row
     return new

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import inspect
 import math
-import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
@@ -53,7 +52,7 @@ from cyclic_env.loop_closure import (
 )
 from cyclic_env.rewards import REWARD_TERMS, reward_row, reward_weights
 from cyclic_env.sensors import Sensors
-from cyclic_env.simulation import Simulation, World
+from cyclic_env.simulation import Simulation, World, num_cores
 
 TWIST_OMEGA_MAX = 3.0
 """Turning rate of a full twist action, rad/s."""
@@ -469,11 +468,6 @@ class Engine:
         )
 
 
-def num_cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
 @compiled
 def wrap_angle(angle):
     """Return the angle in (-pi, pi] that differs from `angle` by whole turns."""
@@ -542,13 +536,14 @@ def begin_episode(buildings, episodes, row, x, y, heading):
 def step_rows(buildings, episodes, rows, claimed):
     """Scan, mark, judge and reward the step that the robots `rows` have just driven."""
     grid, rules, directions = episodes.grid, buildings.rules, buildings.directions
+    scratch = episodes.scratch[rows[0] if len(rows) else 0]  # one for all: no other call has the same first row
     for row in rows:
         plan, robot, ranges = episodes.plan_of[row], episodes.drive[row], episodes.true_ranges[row]
         outcome, info = episodes.outcome[row], episodes.info[row]
         path, ground = path_of(episodes.memory, row), ground_of(episodes.memory, plan)
         status = path.status
         x, y, heading = robot.x, robot.y, wrap_angle(robot.angle)
-        scan_row(buildings.tiles, plan, x, y, heading, directions, buildings.range_max, episodes.scratch[row], ranges)
+        scan_row(buildings.tiles, plan, x, y, heading, directions, buildings.range_max, scratch, ranges)
 
         path_before, false_before = status.path, status.false_claims
         advance(path, ground, rules, x, y)

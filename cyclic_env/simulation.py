@@ -1,7 +1,7 @@
 """The physics: N robots that drive in walled buildings, and nothing of what they sense or earn.
 
 Robots of one floor plan share a pymunk Space; they pass through each other and collide with walls only.
-A Space holds at most `WORLD_SIZE` of them, since robots at the same spot cost pymunk time in pairs. Bodies
+A Space holds at most `WORLD_SIZE_MAX` of them, since robots at the same spot cost pymunk time in pairs. Bodies
 are read and written all at once, as `pymunk.batch` does it, which may change in any release of pymunk:
 so pymunk is pinned tightly and used here and nowhere else.
 
@@ -13,6 +13,7 @@ of its last episode. So a row that is placed anew gets a new body and a new shap
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,8 +26,8 @@ from cyclic_env.compiled import compiled
 from cyclic_env.config import RobotConfig
 from cyclic_env.floor_plans import FloorPlan
 
-WORLD_SIZE = 32
-"""Most robots in one Space; measured: fewer cost calls, more cost pairs while they stand at the same start."""
+WORLD_SIZE_MIN, WORLD_SIZE_MAX = 16, 64
+"""Robots in one Space, measured: fewer cost calls, more cost pairs while they stand at the same start."""
 
 COLLISION_SLOP = 0.001
 """Metres of overlap that the contact solver leaves, so that a contact at rest does not flicker."""
@@ -54,11 +55,18 @@ DRIVE = np.dtype(
         ("contact", "?"),  # a wall pushed back in this control step
         ("along_x", "f8"),  # heading half-way through the running substep
         ("along_y", "f8"),
+        ("ahead_x", "f8"),  # and through the next one
+        ("ahead_y", "f8"),
         ("target_vx", "f8"),  # velocity that the wheels asked for in the running substep
         ("target_vy", "f8"),
     ]
 )
 """What the simulation knows of a robot from one substep to the next."""
+
+
+def num_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @compiled
@@ -98,10 +106,11 @@ def command_substep(bodies, forces, rows, drive, commands, first, mass, inertia,
         robot.right += lag * (commands[row, 1] - robot.right)
         target_omega = (robot.right - robot.left) / axle_track
         speed = 0.5 * (robot.left + robot.right)
-        middle = angle + 0.5 * omega * dt
-        robot.along_x, robot.along_y = math.cos(middle), math.sin(middle)
+        # No wall turns a round robot without friction: what was ahead is now the heading half-way through.
+        robot.along_x, robot.along_y = robot.ahead_x, robot.ahead_y
         ahead = angle + omega * dt + 0.5 * target_omega * dt
-        robot.target_vx, robot.target_vy = speed * math.cos(ahead), speed * math.sin(ahead)
+        robot.ahead_x, robot.ahead_y = math.cos(ahead), math.sin(ahead)
+        robot.target_vx, robot.target_vy = speed * robot.ahead_x, speed * robot.ahead_y
         forces[i, 0] = mass * (robot.target_vx - bodies[i, 3]) / dt
         forces[i, 1] = mass * (robot.target_vy - bodies[i, 4]) / dt
         forces[i, 2] = inertia * (target_omega - omega) / dt
@@ -141,7 +150,7 @@ class BodyBatch:
 
 
 class World:
-    """One Space with the walls of one floor plan and up to `WORLD_SIZE` robots."""
+    """One Space with the walls of one floor plan, and some of the robots in it."""
 
     def __init__(self, plan: FloorPlan) -> None:
         self.plan = plan
@@ -167,6 +176,7 @@ class World:
         shape.filter = pymunk.ShapeFilter(categories=ROBOTS, mask=WALLS)
         shape.friction = 0.0
         self.space.add(body, shape)
+        self.space._bodies_to_check.clear()  # by Space.step, otherwise
         self.bodies[row] = body
         self._refresh()
 
@@ -194,7 +204,7 @@ class World:
     def step(self, dt: float) -> None:
         """Apply `forces`, advance the Space by `dt` seconds, and read `body_states`."""
         self._write.exchange(self.space, SET_BODY)
-        self.space.step(dt)
+        lib.cpSpaceStep(self.space._space, dt)  # Space.step looks for callbacks and late additions; there are none
         self._read.exchange(self.space, GET_BODY)
 
 
@@ -217,6 +227,8 @@ class Simulation:
         self.drive = np.zeros(num_robots, DRIVE)
         self.plan_of = np.full(num_robots, -1, np.int64)
         self.worlds: list[World] = []
+        share = math.ceil(num_robots / num_cores())
+        self._world_size = min(max(share, WORLD_SIZE_MIN), WORLD_SIZE_MAX)
         self._world_of: dict[int, World] = {}
         self._inertia = pymunk.moment_for_circle(robot.mass, 0.0, robot.radius)
         self._dt = robot.dt / robot.substeps
@@ -227,7 +239,8 @@ class Simulation:
         """Put a robot at rest at `pose` (x, y, heading) in the plan of that number, as a new body."""
         self._add_body(row, plan, (pose[0], pose[1]), pose[2], (0.0, 0.0), 0.0)
         self.drive[row] = np.zeros((), DRIVE)
-        for name, value in zip(("x", "y", "angle"), pose, strict=True):
+        ahead = (math.cos(pose[2]), math.sin(pose[2]))
+        for name, value in zip(("x", "y", "angle", "ahead_x", "ahead_y"), (*pose, *ahead), strict=True):
             self.drive[name][row] = value
 
     def _add_body(self, row: int, plan: int, position: Any, angle: float, velocity: Any, omega: float) -> None:
@@ -244,7 +257,7 @@ class Simulation:
 
     def _world_with_room(self, plan: int) -> World:
         for world in self.worlds:
-            if world.plan is self.plans[plan] and len(world.bodies) < WORLD_SIZE:
+            if world.plan is self.plans[plan] and len(world.bodies) < self._world_size:
                 return world
         self.worlds.append(World(self.plans[plan]))
         return self.worlds[-1]

@@ -10,7 +10,7 @@ import shapely
 
 from cyclic_env.config import RobotConfig
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.simulation import Simulation
+from cyclic_env.simulation import WORLD_SIZE_MAX, Simulation
 
 ROBOT = RobotConfig()
 STEPS, ROBOTS = 8000, 32
@@ -118,10 +118,13 @@ def test_a_row_placed_anew_drives_as_in_a_fresh_simulation(square_room: FloorPla
 
 def test_spaces_hold_few_robots_and_go_when_the_last_one_leaves(square_room: FloorPlan) -> None:
     other = FloorPlan("other", shapely.box(0, 0, 5, 5), (2, 2, 0))
-    simulation = Simulation(ROBOT, [square_room, other], 40)
-    for row in range(40):
+    simulation = Simulation(ROBOT, [square_room, other], 300)
+    for row in range(300):
         simulation.place(row, 0, square_room.start)
-    assert [len(world.bodies) for world in simulation.worlds] == [32, 8]
-    for row in range(40):
+    sizes = [len(world.bodies) for world in simulation.worlds]
+    assert sum(sizes) == 300
+    assert max(sizes) <= WORLD_SIZE_MAX
+    for row in range(300):
         simulation.place(row, 1, other.start)
-    assert [world.plan for world in simulation.worlds] == [other, other]
+    assert {world.plan for world in simulation.worlds} == {other}
+    assert len(simulation.worlds) == len(sizes)
