@@ -1,0 +1,1 @@
+"""The K-nearest-neighbour, direction-indicator explorer of Abdulnabi and Esmail (2022)."""

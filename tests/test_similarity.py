@@ -1,0 +1,103 @@
+"""The paper's similarity measures: its Table 1, SciPy, and vectors that have no direction."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+from scipy.spatial import distance
+from scipy.stats import spearmanr
+
+from agents.knn.similarity import MEASURES, measure_by_name
+from cyclic_env.errors import ConfigError
+
+GOLDEN = np.array([7, 7, 7, 7, 7, 7, 27]), np.array([8, 8, 7, 7, 7, 7, 25])
+"""The pair of feature vectors that gives all of the paper's Table 1 at once."""
+TABLE_1 = {
+    "jaccard": 0.429,
+    "euclidean": 2.449,
+    "cityblock": 4,
+    "chebyshev": 2,
+    "cosine": 0.002,
+    "spearman": 0.317,
+    "variation": 101.952,
+}
+SCIPY = {
+    "euclidean": distance.euclidean,
+    "cityblock": distance.cityblock,
+    "chebyshev": distance.chebyshev,
+    "cosine": distance.cosine,
+    "correlation": distance.correlation,
+    "spearman": lambda a, b: 1 - spearmanr(a, b).statistic,  # pyright: ignore[reportAttributeAccessIssue]
+    "variation": lambda a, b: np.var(a, ddof=1) + np.var(b, ddof=1),
+    "jaccard": lambda a, b: ((a != b) & ((a != 0) | (b != 0))).sum() / ((a != 0) | (b != 0)).sum(),
+}
+features = arrays(np.float64, 7, elements=st.integers(0, 24).map(lambda half_metres: half_metres / 2))
+
+
+@pytest.mark.parametrize(("name", "value"), TABLE_1.items())
+def test_table_1_of_the_paper_is_met_to_three_decimals(name: str, value: float) -> None:
+    assert MEASURES[name].distance(*GOLDEN) == pytest.approx(value, abs=5e-4)
+
+
+@pytest.mark.parametrize("name", MEASURES)
+def test_distances_equal_scipys_on_random_vectors(name: str) -> None:
+    rng = np.random.default_rng(0)
+    rows, query = rng.integers(0, 12, (200, 7)).astype(float), rng.uniform(0, 12, 7)
+    measure = MEASURES[name]
+    ours = measure.compare(measure.prepare(rows), measure.prepare(query))
+    assert ours == pytest.approx([SCIPY[name](row, query) for row in rows], abs=1e-12)
+
+
+@pytest.mark.parametrize("name", MEASURES)
+@given(a=features, b=features)
+def test_any_two_vectors_have_a_finite_distance_that_is_not_negative_and_symmetric(
+    name: str, a: np.ndarray, b: np.ndarray
+) -> None:
+    measure = MEASURES[name]
+    assert measure.distance(a, b) >= 0
+    assert measure.distance(a, b) == pytest.approx(measure.distance(b, a), abs=1e-12)
+
+
+@pytest.mark.parametrize("name", [name for name in MEASURES if name != "variation"])
+@given(a=features)
+def test_equal_vectors_are_at_distance_0_and_similarity_1(name: str, a: np.ndarray) -> None:
+    measure = MEASURES[name]
+    assert measure.distance(a, a) == pytest.approx(0, abs=1e-12)
+    assert measure.similarity(np.array(measure.distance(a, a))) == pytest.approx(1)
+
+
+@pytest.mark.parametrize("name", ["cosine", "spearman", "correlation"])
+def test_a_vector_without_direction_is_1_from_any_other_and_0_from_its_like(name: str) -> None:
+    flat, other = np.zeros(5), np.array([1.0, 2, 3, 4, 5])
+    assert MEASURES[name].distance(flat, flat) == 0
+    assert MEASURES[name].distance(flat, other) == 1
+    assert MEASURES[name].distance(other, flat) == 1
+
+
+@pytest.mark.parametrize("name", ["spearman", "correlation"])
+def test_a_constant_vector_is_one_without_direction_whatever_the_rounding(name: str) -> None:
+    assert MEASURES[name].distance(np.full(7, 0.1), np.full(7, 12.3)) == 0
+
+
+def test_two_vectors_of_zeros_have_the_jaccard_distance_0() -> None:
+    assert MEASURES["jaccard"].distance(np.zeros(3), np.zeros(3)) == 0
+
+
+@pytest.mark.parametrize("name", MEASURES)
+@pytest.mark.parametrize("bad", [np.array([1.0, np.nan]), np.array([np.inf, 1.0]), np.array([]), np.zeros((2, 2, 2))])
+def test_vectors_that_cannot_be_compared_are_refused(name: str, bad: np.ndarray) -> None:
+    with pytest.raises(ConfigError, match=name):
+        MEASURES[name].prepare(bad)
+
+
+def test_variation_refuses_a_single_coordinate() -> None:
+    with pytest.raises(ConfigError, match="at least 2 coordinates"):
+        MEASURES["variation"].prepare(np.array([1.0]))
+
+
+def test_an_unknown_measure_is_refused_with_the_nearest() -> None:
+    with pytest.raises(ConfigError, match="Did you mean 'euclidean'"):
+        measure_by_name("euclidian")
