@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import inspect
 import math
+import os
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
@@ -275,6 +276,7 @@ class Engine:
         self._claimed = np.full(num_robots, NO_CLAIM, np.int64)
         self._shares: list[tuple[list[World], np.ndarray]] = []
         self._threads: ThreadPoolExecutor | None = None
+        self._threads_of = 0
 
     def reset_row(self, row: int, rng: np.random.Generator, start: Any = None) -> None:
         """Begin an episode of one robot; draws from `rng` the plan, the start, and the sensors' errors.
@@ -341,8 +343,9 @@ class Engine:
 
     def _step_shares(self, shares: list[tuple[list[World], np.ndarray]], rngs: Sequence[np.random.Generator]) -> None:
         first, *others = shares
-        if others and self._threads is None:
+        if others and (self._threads is None or self._threads_of != os.getpid()):  # a fork has no threads
             self._threads = ThreadPoolExecutor(len(others), thread_name_prefix="cyclic_env")
+            self._threads_of = os.getpid()
         pending = [self._threads.submit(self._step_share, *share, rngs) for share in others] if self._threads else []
         self._step_share(*first, rngs)
         for future in pending:

@@ -67,6 +67,11 @@ def free_poses(plan: FloorPlan, count: int) -> np.ndarray:
     return poses[:count]
 
 
+def measure_machine() -> Iterator[Row]:
+    """Time plain Python, by which rates of different machines, or of a busy hour, can be compared."""
+    yield "machine", "10^7 additions in a Python loop", best_time(lambda: sum(i for i in range(10**7))), "s"
+
+
 def measure_laser() -> Iterator[Row]:
     """Time one scan of 180 beams on Killian Court, three ways."""
     plan, laser = load_floor_plan("killian_court"), LaserConfig()
@@ -301,6 +306,7 @@ def main() -> None:
         parser.error(f"--json: there is no folder {arguments.json.resolve().parent}")
     sys.path.insert(0, str(ROOT))
     measurements: list[Callable[[], Iterator[Row]]] = [
+        measure_machine,
         measure_laser,
         measure_single_env,
         lambda: measure_vector_env(arguments.quick),

@@ -288,6 +288,19 @@ def test_async_vector_env_works(context: str) -> None:
     assert observations["laser"].shape == (2, 180)
 
 
+def test_a_forked_process_steps_an_env_that_has_threads() -> None:
+    env = CyclicLoopVectorEnv(130, "ring")
+    env.reset(seed=0)
+    actions = np.zeros((130, 4), np.float32)
+    env.step(actions)
+    process = multiprocessing.get_context("fork").Process(target=env.step, args=(actions,))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # Python 3.12 says what this test is about
+        process.start()
+    process.join(timeout=60)
+    assert process.exitcode == 0
+
+
 def test_a_pool_draws_every_plan_and_a_row_by_itself() -> None:
     env = CyclicLoopVectorEnv(64, ["ring", "grid", "office"])
     env.reset(seed=0)
