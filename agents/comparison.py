@@ -143,6 +143,6 @@ def require_learning() -> None:
     except ModuleNotFoundError as error:
         if error.name in LEARNING:
             raise ConfigError(
-                f'{error.name} is not installed, and learned agents need it: pip install "cyclic-loop[train]".'
+                f'{error.name} is missing, and learned agents need it: pip install -e ".[train]" in the checkout.'
             ) from error
         raise

@@ -79,6 +79,10 @@ def __getattr__(name: str) -> Any:
     return getattr(importlib.import_module(_HOME_OF[name]), name)
 
 
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})
+
+
 if "CyclicLoop-v0" not in registry:
     register(
         id="CyclicLoop-v0",

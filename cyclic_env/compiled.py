@@ -1,4 +1,4 @@
-"""Compilation of the numeric kernels by numba: once per machine, then cached on disk."""
+"""Compilation of the numeric kernels by numba: once for an installation and each change of it, then cached on disk."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 @cache
 def _say_compiling() -> None:
-    print("cyclic_env: compiling its kernels, once on this machine; about 20 s ...", file=sys.stderr, flush=True)
+    print("cyclic_env: compiling its kernels, once for this installation; about 20 s ...", file=sys.stderr, flush=True)
 
 
 @contextmanager

@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
-from typing import Any, Literal, TypeVar
+from dataclasses import dataclass, fields
+from numbers import Integral, Real
+from typing import Any, Literal, TypeGuard, TypeVar
 
 from cyclic_env.errors import ConfigError, unknown_name
 
@@ -28,16 +29,23 @@ def _check(owner: object, condition: bool, field: str, expected: str) -> None:
 
 def _check_number(owner: object, field: str, low: float, high: float = math.inf, *, open_low: bool = False) -> None:
     value = getattr(owner, field)
-    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    inside = is_number and (low < value if open_low else low <= value) and value <= high
+    try:
+        number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
+    except OverflowError:
+        number = math.nan
+    inside = math.isfinite(number) and (low < number if open_low else low <= number) and number <= high
     bound = f"{'more than' if open_low else 'at least'} {low:g}" + (f", at most {high:g}" if high < math.inf else "")
     _check(owner, inside, field, f"a finite number, {bound}")
 
 
 def _check_integer(owner: object, field: str, low: int, high: int) -> None:
     value = getattr(owner, field)
-    is_integer = isinstance(value, int) and not isinstance(value, bool)
-    _check(owner, is_integer and low <= value <= high, field, f"a whole number from {low} to {high}")
+    _check(owner, is_integer(value) and low <= value <= high, field, f"a whole number from {low} to {high}")
+
+
+def is_integer(value: object) -> TypeGuard[int]:
+    """Tell whether the value is a whole number, of Python or NumPy; True and False are not."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,7 +66,7 @@ class RobotConfig:
 
     def __post_init__(self) -> None:
         for field in ("radius", "axle_track", "wheel_speed_max", "mass", "dt"):
-            _check_number(self, field, 0.0, open_low=True)
+            _check_number(self, field, 1e-3, 1e3)
         _check_number(self, "wheel_time_constant", 0.0)
         _check_integer(self, "substeps", 1, 1000)
         advance = self.wheel_speed_max * self.dt / self.substeps
@@ -121,10 +129,10 @@ class NoiseConfig:
 
     def __post_init__(self) -> None:
         for field in ("distance_drift", "compass_white_deg", "compass_field_deg", "laser_sigma"):
-            _check_number(self, field, 0.0)
+            _check_number(self, field, 0.0, 1e3)
         for field in ("distance_scale", "laser_sigma_relative", "laser_short", "laser_max", "laser_random"):
             _check_number(self, field, 0.0, 1.0)
-        _check_number(self, "compass_field_length", 0.0, open_low=True)
+        _check_number(self, "compass_field_length", 1e-3)
         _check(
             self,
             self.laser_short + self.laser_max + self.laser_random <= 1.0,
@@ -191,8 +199,8 @@ class ClosureConfig:
     """Path that must pass since the last judged claim before another is judged."""
 
     def __post_init__(self) -> None:
-        for field in ("return_radius", "gap"):
-            _check_number(self, field, 0.0, open_low=True)
+        _check_number(self, "return_radius", 0.1)
+        _check_number(self, "gap", 0.0, open_low=True)
         for field in ("event_gap", "event_length_min", "claim_spacing"):
             _check_number(self, field, 0.0)
         _check_number(self, "leave_radius", self.return_radius, open_low=True)
@@ -211,6 +219,12 @@ class CoverageConfig:
     def __post_init__(self) -> None:
         _check_number(self, "cell_size", 0.05)
         _check_number(self, "scan_spacing", 0.0)
+        _check(
+            self,
+            self.scan_spacing == 0 or self.scan_spacing >= 1e-3,
+            "scan_spacing",
+            "0 (every step) or at least 0.001",
+        )
         _check_number(self, "complete", 0.0, 1.0, open_low=True)
 
 
@@ -231,7 +245,7 @@ class RewardConfig:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            _check_number(self, field.name, -math.inf)
+            _check_number(self, field.name, -1e6, 1e6)
 
 
 def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:
@@ -260,11 +274,6 @@ def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:
         if key not in known:
             raise ConfigError(unknown_name(f"field of {cls.__name__}", key, known))
     return cls(**value)
-
-
-def as_mapping(config: Any) -> dict[str, Any]:
-    """Return the fields of a settings object as a plain dict, the inverse of `from_mapping`."""
-    return asdict(config)
 
 
 def noise_from_name(noise: str | NoiseConfig | Mapping[str, Any] | None) -> NoiseConfig:

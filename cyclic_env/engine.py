@@ -1,8 +1,8 @@
 """One step of N robots: drive, measure, mark, judge, reward.
 
 This is the only implementation of the environment; `CyclicLoopEnv` is its face for one robot and
-`CyclicLoopVectorEnv` the one for many. A row of it is bit-equal to a single robot: nothing is shared
-between rows but the buildings, and the compiled code does no arithmetic across them.
+`CyclicLoopVectorEnv` the one for many. A row of it is bit-equal to a single robot: robots pass through each
+other, each draws from a generator of its own, and no arithmetic goes across rows.
 """
 
 from __future__ import annotations
@@ -30,10 +30,11 @@ from cyclic_env.config import (
     RewardConfig,
     RobotConfig,
     from_mapping,
+    is_integer,
     noise_from_name,
 )
 from cyclic_env.coverage import CoverageGrid, build_coverage_grid, mark_scan, seen_cells
-from cyclic_env.errors import ActionError, ConfigError, FloorPlanError, unknown_name
+from cyclic_env.errors import ActionError, ConfigError, FloorPlanError, UsageError, unknown_name
 from cyclic_env.floor_plans import FloorPlan, MapName, load_floor_plans
 from cyclic_env.floor_plans.wall_tiles import WallTiles, build_wall_tiles
 from cyclic_env.laser import beam_directions, scan_row
@@ -52,7 +53,7 @@ from cyclic_env.loop_closure import (
     settle_event,
 )
 from cyclic_env.rewards import REWARD_TERMS, reward_row, reward_weights
-from cyclic_env.sensors import Sensors
+from cyclic_env.sensors import DISTANCE_MAX, Sensors
 from cyclic_env.simulation import Simulation, World, num_cores
 
 TWIST_OMEGA_MAX = 3.0
@@ -163,9 +164,7 @@ def engine_config(
     for name, value in (("random_start", random_start), ("terminate_on_collision", terminate_on_collision)):
         if not isinstance(value, bool | np.bool_):
             raise ConfigError(f"{name} is {value!r}; expected True or False.")
-    if step_budget is not None and (
-        isinstance(step_budget, bool) or not isinstance(step_budget, int) or not 1 <= step_budget <= STEP_BUDGET_MAX
-    ):
+    if step_budget is not None and (not is_integer(step_budget) or not 1 <= step_budget <= STEP_BUDGET_MAX):
         raise ConfigError(
             f"step_budget is {step_budget!r}; expected a whole number from 1 to {STEP_BUDGET_MAX}, or None."
         )
@@ -174,7 +173,7 @@ def engine_config(
         action_type=action_type,
         random_start=bool(random_start),
         terminate_on_collision=bool(terminate_on_collision),
-        step_budget=step_budget,
+        step_budget=None if step_budget is None else int(step_budget),
         robot=from_mapping(RobotConfig, robot),
         laser=from_mapping(LaserConfig, laser),
         noise=noise_from_name(noise),
@@ -277,6 +276,7 @@ class Engine:
         self._shares: list[tuple[list[World], np.ndarray]] = []
         self._threads: ThreadPoolExecutor | None = None
         self._threads_of = 0
+        self._interrupted = False
 
     def reset_row(self, row: int, rng: np.random.Generator, start: Any = None) -> None:
         """Begin an episode of one robot; draws from `rng` the plan, the start, and the sensors' errors.
@@ -296,7 +296,7 @@ class Engine:
         config = self.config
         plan = int(rng.integers(len(config.plans))) if len(config.plans) > 1 else 0
         if start is not None:
-            pose = self._checked_start(plan, start)
+            pose = self.checked_start(plan, start)
         elif config.random_start:
             pose = self._random_start(plan, rng)
         else:
@@ -304,6 +304,7 @@ class Engine:
         pose = (float(pose[0]), float(pose[1]), wrap_angle(float(pose[2])))
         self.simulation.place(row, plan, pose)
         self._shares = []
+        self._interrupted = False
         self.sensors.reset_row(row, rng)
         with self._compiling():
             begin_episode(self.buildings, self.episodes, row, pose[0], pose[1], pose[2])
@@ -328,14 +329,18 @@ class Engine:
         ActionError
             If the actions have the wrong shape or type, or hold a NaN.
         """
+        if self._interrupted:
+            raise UsageError("the last step was interrupted half-way: call reset() first.")
         self._take_actions(actions)
         if not self._shares:
             self._shares = self._divide()
         shares = self._shares
         if skip is not None and skip.any():
             shares = [(worlds, rows[~skip[rows]]) for worlds, rows in shares]
+        self._interrupted = True
         with self._compiling():
             self._step_shares(shares, rngs)
+        self._interrupted = False
         Engine._warm = True
 
     def _compiling(self) -> AbstractContextManager[None]:
@@ -373,7 +378,7 @@ class Engine:
             if discrete and array.dtype.kind not in "iu":
                 raise ActionError(f"a discrete action holds whole numbers, got an array of type {array.dtype}.")
             array = array.astype(np.float64)
-        except (TypeError, ValueError) as error:
+        except (TypeError, ValueError, OverflowError, RuntimeError) as error:
             if isinstance(error, ActionError):
                 raise
             raise ActionError(f"the action is not an array of numbers: {error}.") from error
@@ -394,7 +399,14 @@ class Engine:
         if bad >= 0:
             raise ActionError(f"the action of robot {bad} is {array[bad].tolist()}; expected {expected}.")
 
-    def _checked_start(self, plan: int, start: Any) -> np.ndarray:
+    def checked_start(self, plan: int, start: Any) -> np.ndarray:
+        """Return a start in the plan of that number as an array (x, y, heading).
+
+        Raises
+        ------
+        FloorPlanError
+            If the robot can't stand there.
+        """
         try:
             pose = np.asarray(start, dtype=np.float64)
         except (TypeError, ValueError) as error:
@@ -407,23 +419,25 @@ class Engine:
 
     def _random_start(self, plan: int, rng: np.random.Generator) -> tuple[float, float, float]:
         west, south, east, north = self._reachable[plan].bounds
-        while True:
+        for _ in range(10_000):
             points = rng.uniform((west, south), (east, north), (64, 2))
             inside = np.flatnonzero(shapely.contains_xy(self._reachable[plan], points[:, 0], points[:, 1]))
             if len(inside):
                 x, y = points[inside[0]]
                 return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
+        raise FloorPlanError(f"floor plan {self.config.plans[plan].name!r}: found no random start; give one.")
 
     def observation(self) -> dict[str, np.ndarray]:
         """Return the last readings, new float32 arrays: laser `(N, num_beams)`, distance `(N, 1)`, compass `(N, 2)`."""
         return {
             "laser": self.sensors.ranges.astype(np.float32),
-            "distance": self.sensors.distance[:, None].astype(np.float32),
+            "distance": np.clip(self.sensors.distance[:, None], -DISTANCE_MAX, DISTANCE_MAX).astype(np.float32),
             "compass": self.sensors.compass.astype(np.float32),
         }
 
     def trajectory(self, row: int) -> np.ndarray:
         """Return the true way of a robot since its reset, `(t + 1, 3)`: x, y and path length, metres."""
+        self._check_placed(row)
         memory = self.episodes.memory
         return memory.track[row, : memory.status["steps"][row] + 1].copy()
 
@@ -437,14 +451,28 @@ class Engine:
 
     def seen_cells(self, row: int) -> np.ndarray:
         """Return what a robot has seen of its plan; see `cyclic_env.coverage.seen_cells`."""
+        self._check_placed(row)
         return seen_cells(self.episodes.grid, row, int(self.simulation.plan_of[row]))
+
+    def _check_placed(self, row: int) -> None:
+        if not self.is_placed(row):
+            raise UsageError("there is no episode yet: call reset() first.")
 
     def is_placed(self, row: int) -> bool:
         """Tell whether a robot has begun an episode."""
         return bool(self.simulation.plan_of[row] >= 0)
 
     def plan(self, row: int) -> FloorPlan:
-        """Return the floor plan in which a robot is."""
+        """Return the floor plan in which a robot is.
+
+        Raises
+        ------
+        UsageError
+            If it has begun no episode, and there is a pool to draw from.
+        """
+        if len(self.config.plans) == 1:
+            return self.config.plans[0]
+        self._check_placed(row)
         return self.config.plans[self.simulation.plan_of[row]]
 
     def close(self) -> None:
@@ -542,6 +570,8 @@ def step_rows(buildings, episodes, rows, claimed):
     scratch = episodes.scratch[rows[0] if len(rows) else 0]  # one for all: no other call has the same first row
     for row in rows:
         plan, robot, ranges = episodes.plan_of[row], episodes.drive[row], episodes.true_ranges[row]
+        if episodes.memory.status[row].steps >= buildings.step_budget[plan]:
+            continue  # only after an interrupted step: there is no room for another
         outcome, info = episodes.outcome[row], episodes.info[row]
         path, ground = path_of(episodes.memory, row), ground_of(episodes.memory, plan)
         status = path.status

@@ -41,7 +41,8 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     A claim above 0 says "I am back at a known place", and match says when the robot was here: at step
     ``k = rint((match + 1) / 2 * t)`` of the t steps so far, this one counted; k = 0 is the start. With discrete
-    actions the environment itself takes the nearest step that counts as the same place, and left and right turn
+    actions the environment itself takes the nearest step that t returns to (a false claim where there is none), and
+    so tests the detection alone: do not compare it with the other types. There left and right turn
     on the spot at 0.9 rad/s. Values out of range are clipped; a twist beyond the wheels' limit shrinks as a whole.
 
     **Observation space**, a ``Dict`` of float32:
@@ -159,7 +160,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             raise UsageError(
                 "step() needs a running episode: call reset() first, and again after an episode has ended."
             )
-        self.engine.step(np.asarray(action)[None], [self.np_random])
+        self.engine.step([action], [self.np_random])
         reward, terminated, truncated, *_ = self.engine.outcome[0].item()
         self._running = not (terminated or truncated)
         if self.render_mode == "human":

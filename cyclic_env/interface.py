@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -9,9 +10,7 @@ from gymnasium import spaces
 
 from cyclic_env.config import ActionType, LaserConfig
 from cyclic_env.errors import ConfigError, unknown_name
-
-DISTANCE_MAX = 1e5
-"""Metres; bound of the distance meter's space, further than any episode goes."""
+from cyclic_env.sensors import DISTANCE_MAX
 
 NUM_DRIVES = 5
 
@@ -57,6 +56,8 @@ def start_option(options: dict[str, Any] | None, *known: str) -> Any:
     ConfigError
         If they hold anything but a start and the other `known` options.
     """
+    if options is not None and not isinstance(options, Mapping):
+        raise ConfigError(f"the options of a reset are a dict, got {type(options).__name__}.")
     for name in options or {}:
         if name not in ("start", *known):
             raise ConfigError(unknown_name("reset option", name, ("start", *known)))

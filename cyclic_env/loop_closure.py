@@ -10,6 +10,7 @@ With true positions p, path length s and the settings of `ClosureConfig`:
   it, and settles when it ends or the episode does: recognised or **missed**.
 - A **claim** at t names a step k. It is judged if `claim_spacing` of path passed since the last judged one: it is
   **correct** when t returns to k, ignored when it fails by gap or leave alone, and **false** otherwise.
+- A discrete claim names no step: it means the nearest one that t returns to, and is false where there is none.
 - The loop of a correct claim is the path from k to t, closed by the straight line. Its winding numbers about the
   cycles' holes are an integer vector; it **closes a new cycle** when that vector is linearly independent
   of those before. They are counted as signed crossings of one cut a hole, from its anchor due north.

@@ -15,6 +15,9 @@ import numpy as np
 from cyclic_env.compiled import compiled
 from cyclic_env.config import LaserConfig, NoiseConfig
 
+DISTANCE_MAX = 1e5
+"""Metres, to either side; the distance meter shows no more."""
+
 FIELD_WAVES = 64
 """Plane waves whose sum is the compass field; the more, the nearer to a Gaussian field."""
 

@@ -176,7 +176,7 @@ class World:
         shape.filter = pymunk.ShapeFilter(categories=ROBOTS, mask=WALLS)
         shape.friction = 0.0
         self.space.add(body, shape)
-        self.space._bodies_to_check.clear()  # by Space.step, otherwise
+        self.space._bodies_to_check.clear()  # Space.step would, which is not called; else old bodies pile up there
         self.bodies[row] = body
         self._refresh()
 

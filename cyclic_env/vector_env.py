@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
+from cyclic_env.config import is_integer
 from cyclic_env.engine import INFO, Engine, engine_config
 from cyclic_env.errors import ConfigError, FloorPlanError, UsageError, unknown_name
 from cyclic_env.floor_plans import FloorPlan, MapName
@@ -45,7 +46,6 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
-    _terminal: ClassVar[tuple[str, str]] = ("final_obs", "final_info")
 
     def __init__(
         self,
@@ -57,9 +57,10 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         render_mode: str | None = None,
         **settings: Any,
     ) -> None:
-        if isinstance(num_envs, bool) or not isinstance(num_envs, int) or num_envs < 1:
+        if not is_integer(num_envs) or num_envs < 1:
             raise ConfigError(f"num_envs is {num_envs!r}; expected a whole number of at least 1.")
-        if max_episode_steps is not None and (not isinstance(max_episode_steps, int) or max_episode_steps < 1):
+        num_envs = int(num_envs)
+        if max_episode_steps is not None and (not is_integer(max_episode_steps) or max_episode_steps < 1):
             raise ConfigError(
                 f"max_episode_steps is {max_episode_steps!r}; expected a whole number of at least 1, or None."
             )
@@ -105,7 +106,11 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         start = start_option(options, "reset_mask")
         mask = self._mask(None if options is None else options.get("reset_mask"))
         starts = self._starts(start)
-        self._seed(self._row_seeds(seed), mask)
+        seeds = self._row_seeds(seed)
+        if starts is not None and len(self.engine.config.plans) == 1:  # refuse before any row begins anew
+            for row in np.flatnonzero(mask):
+                self.engine.checked_start(0, starts[row])
+        self._seed(seeds, mask)
         self._reset_rows(np.flatnonzero(mask), starts)
         self._placed |= mask
         return self.engine.observation(), self._infos(mask)
@@ -136,7 +141,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         infos: dict[str, Any] = {}
         if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
             infos = {"final_obs": self._final_observation(ended), "final_info": self._infos(ended)}
-            infos.update({f"_{name}": ended.copy() for name in self._terminal})
+            infos.update(_final_obs=ended.copy(), _final_info=ended.copy())
             self._reset_rows(np.flatnonzero(ended))
         else:
             self._ended = ended
@@ -151,14 +156,16 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
     def _infos(self, mask: np.ndarray) -> dict[str, Any]:
         """Return copies of the infos; as in Gymnasium, ``_key`` tells for which rows `key` holds."""
         infos: dict[str, Any] = {}
+        given = mask.copy()
+        given.flags.writeable = False  # one mask stands under all keys
         for name in INFO.names or ():
             infos[name] = self._where(mask, self.engine.info[name])
-            infos[f"_{name}"] = mask
+            infos[f"_{name}"] = given
         terms: dict[str, Any] = {}
         for i, name in enumerate(REWARD_TERMS):
             terms[name] = self._where(mask, self.engine.terms[:, i])
-            terms[f"_{name}"] = mask
-        return infos | {"reward_terms": terms, "_reward_terms": mask}
+            terms[f"_{name}"] = given
+        return infos | {"reward_terms": terms, "_reward_terms": given}
 
     def _where(self, mask: np.ndarray, values: np.ndarray) -> np.ndarray:
         """Return a copy of the values, zero outside the mask."""
@@ -186,6 +193,8 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
             return [None] * self.num_envs
         if isinstance(seed, int | np.integer):
             return [int(seed) + row for row in range(self.num_envs)]
+        if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str):
+            raise ConfigError(f"seed is {seed!r}; expected a whole number, one a row, or None.")
         if len(seed) != self.num_envs:
             raise ConfigError(f"{len(seed)} seeds were given for {self.num_envs} rows; give one seed, or one a row.")
         return seed

@@ -1,4 +1,4 @@
-"""Drive Killian Court once by the wall on the left, claiming nothing; write a picture, print the scores."""
+"""Drive a building once, by default Killian Court by the wall on the left; write a picture, print the scores."""
 
 from __future__ import annotations
 
@@ -27,11 +27,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--steps", type=int, help="how many (default: to the episode's end)")
     parser.add_argument("--out", type=Path, default=Path("out/demo"), help="folder for the picture (default out/demo)")
     args = parser.parse_args(arguments)
+    if args.steps is not None and args.steps < 1:
+        parser.error(f"--steps is {args.steps}; expected at least 1")
     try:
         agent = make_agent(args.agent)
         env = CyclicLoopEnv(args.map, render_mode="rgb_array")
         args.out.mkdir(parents=True, exist_ok=True)
-        total = drive(env, agent, args.steps or env.engine.config.step_budget_of(env.engine.config.plans[0]))
+        total = drive(env, agent, args.steps or env.step_budget)
         picture = args.out / "run.png"
         plt.imsave(picture, env.render())
     except (CyclicLoopError, OSError) as error:
@@ -54,7 +56,7 @@ def drive(env: CyclicLoopEnv, agent: ScriptedAgent, steps: int) -> float:
             break
     progress.clear()
     for name in SCORES:
-        print(f"{name:>20} {info[name]:.3g}")
+        print(f"{name:>20} {info[name] if isinstance(info[name], int) else round(info[name], 3)}")
     return total
 
 

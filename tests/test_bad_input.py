@@ -30,6 +30,10 @@ BAD_SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"robot": {"radius": 5.0}}, "radius 5 m"),
     ({"robot": {"radius": 0.01}}, "substep"),
     ({"robot": {"wheels": 3}}, "unknown field of RobotConfig 'wheels'"),
+    ({"robot": {"axle_track": 1e-18}}, "axle_track"),
+    ({"robot": {"radius": 10**400}}, "radius"),
+    ({"closure": {"return_radius": 1e-9}}, "return_radius"),
+    ({"coverage": {"scan_spacing": 1e-19}}, "scan_spacing"),
     ({"robot": 3}, "expected a RobotConfig or a mapping"),
     ({"laser": {"num_beams": 180.0}}, "whole number"),
     ({"laser": {"range_max": 0}}, "more than 0"),
@@ -58,6 +62,8 @@ BAD_ACTIONS: list[tuple[str, Any, str]] = [
     ("wheels", np.array([0, np.nan, 0, 0]), "no NaN"),
     ("wheels", "forward", "not an array of numbers"),
     ("wheels", None, "action"),
+    ("wheels", [1, [2], 3, 4], "not an array of numbers"),
+    ("wheels", [10**400, 0, 0, 0], "not an array of numbers"),
     ("wheels", {"left": 1}, "not an array of numbers"),
     ("twist", np.array([np.nan, 0, 0, 0]), "no NaN"),
     ("discrete", np.array([5, 0]), "a drive from 0 to 4"),
@@ -140,6 +146,43 @@ def test_a_bad_reset_mask_is_refused(mask: Any) -> None:
     env = CyclicLoopVectorEnv(2, "ring")
     with pytest.raises(CyclicLoopError, match="2 bools"):
         env.reset(options={"reset_mask": mask})
+
+
+@pytest.mark.parametrize("options", [5, "start", [1]])
+def test_options_that_are_no_dict_are_refused(options: Any) -> None:
+    for env in (CyclicLoopEnv("ring"), CyclicLoopVectorEnv(2, "ring")):
+        with pytest.raises(CyclicLoopError, match="are a dict"):
+            env.reset(options=options)
+
+
+def test_a_refused_start_leaves_every_row_as_it_was() -> None:
+    env = CyclicLoopVectorEnv(3, "ring")
+    env.reset(seed=0)
+    for _ in range(5):
+        env.step(np.zeros((3, 4)))
+    x, y, heading = env.floor_plan(0).start
+    with pytest.raises(CyclicLoopError):
+        env.reset(seed=1, options={"start": [(x, y, heading), (1e6, y, 0), (x, y, heading)]})
+    assert env.engine.episodes.memory.status["steps"].tolist() == [5, 5, 5]
+    assert env.np_random_seed == (0, 1, 2)
+
+
+def test_questions_about_an_episode_before_the_first_one_are_refused() -> None:
+    env = CyclicLoopEnv(["ring", "grid"])
+    for question in (lambda: env.floor_plan, lambda: env.step_budget, env.trajectory, env.seen_cells):
+        with pytest.raises(CyclicLoopError, match="call reset"):
+            question()
+
+
+def test_numpys_numbers_are_numbers() -> None:
+    env = CyclicLoopVectorEnv(np.int64(2), "ring", step_budget=np.int32(5), robot={"radius": np.float32(0.3)})  # pyright: ignore[reportArgumentType]
+    assert env.num_envs == 2
+
+
+@pytest.mark.parametrize("seed", [1.5, "x"])
+def test_a_seed_that_is_no_number_is_refused(seed: Any) -> None:
+    with pytest.raises(CyclicLoopError, match="expected a whole number"):
+        CyclicLoopVectorEnv(3, "ring").reset(seed=seed)
 
 
 def test_seeds_that_do_not_fit_are_refused() -> None:

@@ -211,6 +211,12 @@ def test_gymnasiums_vector_wrappers_take_it() -> None:
     assert infos[-1][0]["coverage"] > 0
 
 
+def test_masks_of_the_infos_cannot_be_written_to() -> None:
+    *_, infos = CyclicLoopVectorEnv(2, "ring").reset(seed=0)
+    with pytest.raises(ValueError, match="read-only"):
+        infos["_coverage"][:] = False
+
+
 @pytest.mark.parametrize("map_name", ["ring", "twin_rings"])
 def test_max_episode_steps_truncates_and_changes_nothing_else_on_both_faces(map_name: str) -> None:
     actions = bumping_actions(40, 1)
@@ -286,6 +292,26 @@ def test_async_vector_env_works(context: str) -> None:
     observations, *_ = env.step(bumping_actions(1, 2)[0])
     env.close()
     assert observations["laser"].shape == (2, 180)
+
+
+def test_an_interrupted_step_asks_for_a_reset_and_harms_no_other_row(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = CyclicLoopVectorEnv(2, "ring", step_budget=20)
+    env.reset(seed=0)
+    actions = np.tile(np.array([1, 0.9, -1, 0]), (2, 1))
+    for _ in range(19):
+        env.step(actions)
+
+    def interrupt(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(env.engine.sensors, "measure_rows", interrupt)
+        with pytest.raises(KeyboardInterrupt):
+            env.step(actions)
+    with pytest.raises(cyclic_env.UsageError, match="interrupted"):
+        env.step(actions)
+    env.reset(seed=0)
+    env.step(actions)
 
 
 def test_a_forked_process_steps_an_env_that_has_threads() -> None:

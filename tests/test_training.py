@@ -514,5 +514,5 @@ def test_missing_packages_are_named_with_the_way_to_get_them(
         assert main(arguments) == 2
         said = capsys.readouterr().err
         assert f"{package} is not installed" in said
-        assert 'pip install "cyclic-loop[train]"' in said
+        assert 'pip install -e ".[train]"' in said
     assert evaluate_main(["standing_still", "--map", "ring", "--episodes", "1", "--step-budget", "5"]) == 0
