@@ -159,7 +159,7 @@ def train(
             model.set_env(venv)
         else:
             model = _new_model(settings, venv)
-        save_settings(settings, out, model.num_timesteps)
+            save(model, settings, out)  # so that no model of before stands beside the new settings, whatever happens
         callback = _Bookkeeper(settings, out, steps, save_every, ProgressLine() if progress else None, append=resume)
         try:
             model.learn(steps - model.num_timesteps, callback=callback, reset_num_timesteps=not resume)

@@ -349,7 +349,7 @@ def test_checkpoints_are_written_on_the_way(tmp_path: Path, monkeypatch: pytest.
     real = PPO.save
     monkeypatch.setattr(PPO, "save", lambda self, path: (saved.append(self.num_timesteps), real(self, path)))
     train(TrainingSettings(num_envs=4), steps=1000, out=tmp_path, progress=False, save_every=400)
-    assert saved == [400, 800, 1024]
+    assert saved == [0, 400, 800, 1024]
 
 
 # The command lines
@@ -513,6 +513,6 @@ def test_missing_packages_are_named_with_the_way_to_get_them(
     for main, arguments in ((train_main, []), (evaluate_main, [str(run)])):
         assert main(arguments) == 2
         said = capsys.readouterr().err
-        assert f"{package} is not installed" in said
+        assert f"{package} is missing" in said
         assert 'pip install -e ".[train]"' in said
     assert evaluate_main(["standing_still", "--map", "ring", "--episodes", "1", "--step-budget", "5"]) == 0
