@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from agents.registry import agent_names, make_agent
 from cyclic_env.config import ActionType, noise_from_name
 from cyclic_env.errors import ConfigError, unknown_name
-from cyclic_env.evaluation import Evaluation, Policy, evaluate
+from cyclic_env.evaluation import Evaluation, Policy, checked_seeds, evaluate
 from cyclic_env.floor_plans import load_floor_plan
 from cyclic_env.vector_env import CyclicLoopVectorEnv
 
@@ -62,7 +63,7 @@ def contestant(name: str, action_type: ActionType | None = None) -> Contestant:
         raise ConfigError(f"{name} was trained with action type {its_type!r}, not {action_type!r}.")
     action_type = action_type or its_type or "wheels"
     trial = CyclicLoopVectorEnv(1, "ring", action_type=action_type)
-    check_fits(path, trained.model, trial)
+    check_fits(path, trained.model, trial.single_observation_space, trial.single_action_space)
     trial.close()
     map_name = trained.settings.map_name if trained.settings else ()
     return Contestant(name=name, policy=trained.model, action_type=action_type, map_name=map_name)
@@ -72,15 +73,14 @@ def compare(
     names: Sequence[str],
     *,
     maps: Sequence[str] = (),
+    action_type: ActionType | None = None,
     noise: str = "ideal",
     seeds: Iterable[int] = range(10),
-    action_type: ActionType | None = None,
-    step_budget: int | None = None,
-    num_envs: int | None = None,
-    deterministic: bool = True,
-    progress: bool = False,
-) -> list[Evaluation]:
-    """Evaluate several agents on the same maps with the same seeds; Ctrl-C ends it early and keeps what is done.
+    **settings: Any,
+) -> Iterator[Evaluation]:
+    """Evaluate several agents on the same maps with the same seeds, and yield each evaluation as it ends.
+
+    Ctrl-C ends the evaluation that is running, which is the last then, and keeps the episodes that are done.
 
     Parameters
     ----------
@@ -88,10 +88,10 @@ def compare(
         As `contestant` takes them.
     maps : sequence of str
         By default what the models among the agents were trained on; without models, Killian Court.
-    noise, seeds, step_budget, num_envs, deterministic, progress
-        As for `cyclic_env.evaluation.evaluate`.
     action_type : str, optional
         As for `contestant`.
+    noise, seeds, settings
+        As for `cyclic_env.evaluation.evaluate`.
 
     Raises
     ------
@@ -99,6 +99,7 @@ def compare(
         Before anything is run, if any of the arguments doesn't fit.
     """
     noise_from_name(noise)
+    seeds = checked_seeds(seeds)
     contestants = [contestant(name, action_type) for name in names]
     trained_on = {entry.map_name for entry in contestants if entry.map_name}
     if not maps:
@@ -107,8 +108,6 @@ def compare(
         maps = next(iter(trained_on), (DEFAULT_MAP,))
     for map_name in maps:
         load_floor_plan(map_name)
-    seeds = list(seeds)
-    evaluations: list[Evaluation] = []
     for map_name in maps:
         for entry in contestants:
             evaluation = evaluate(
@@ -117,16 +116,12 @@ def compare(
                 seeds=seeds,
                 map_name=map_name,
                 noise=noise,
-                num_envs=num_envs,
-                deterministic=deterministic,
-                progress=progress,
                 action_type=entry.action_type,
-                step_budget=step_budget,
+                **settings,
             )
-            evaluations.append(evaluation)
+            yield evaluation
             if not evaluation.complete:
-                return evaluations
-    return evaluations
+                return
 
 
 def require_learning() -> None:

@@ -17,8 +17,7 @@ from agents.scripted import (
     ToAndFroAgent,
     WallFollowingAgent,
 )
-from cyclic_env.config import ActionType
-from cyclic_env.errors import ConfigError, unknown_name
+from cyclic_env.config import ActionType, checked_name
 
 CLAIMS = "+claims"
 """Ending of the names of agents that claim in every step to be back at the start."""
@@ -60,6 +59,4 @@ def make_agent(name: str, *, action_type: ActionType = "wheels", seed: int = 0) 
     ConfigError
         If there is no such agent; the message lists them and the nearest.
     """
-    if name not in _AGENTS:
-        raise ConfigError(unknown_name("agent", name, _AGENTS))
-    return _AGENTS[name](action_type=action_type, seed=seed)
+    return _AGENTS[checked_name("agent", name, _AGENTS)](action_type=action_type, seed=seed)

@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from cyclic_env.config import ACTION_TYPES, ActionType
-from cyclic_env.errors import ConfigError, unknown_name
+from cyclic_env.config import ACTION_TYPES, ActionType, checked_name
+from cyclic_env.errors import ConfigError
 
 MEMORY = np.dtype(
     [
@@ -67,9 +67,7 @@ class ScriptedAgent(ABC):
     """
 
     def __init__(self, *, action_type: ActionType = "wheels", claims: bool = False, seed: int = 0) -> None:
-        if action_type not in ACTION_TYPES:
-            raise ConfigError(unknown_name("action type", action_type, ACTION_TYPES))
-        self.action_type: ActionType = action_type
+        self.action_type: ActionType = checked_name("action type", action_type, ACTION_TYPES)
         self.claims = claims
         self.seed = seed
 

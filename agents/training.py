@@ -1,19 +1,22 @@
 """Train, save and load agents of Stable-Baselines3.
 
-A training run is a folder: ``model.zip``, ``settings.json`` (what the model was trained on, and with which versions)
-and ``progress.csv`` (a line for each training episode).
+A training run is a folder: ``model.zip``, which holds its settings too; ``settings.json``, a copy of these for people,
+with the steps done and the versions of all packages; and ``progress.csv``, a line for each training episode.
 """
 
 from __future__ import annotations
 
 import csv
 import json
+import math
+import os
 import platform
+import sys
 import time
 import zipfile
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
@@ -25,11 +28,12 @@ from stable_baselines3 import A2C, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 import cyclic_env
 from agents.sb3 import CyclicLoopVecEnv, ScanFeatures
-from cyclic_env.config import ACTION_TYPES, ActionType, noise_from_name
-from cyclic_env.errors import ConfigError, unknown_name
+from cyclic_env.config import ACTION_TYPES, ActionType, checked_name, noise_from_name
+from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation import ProgressLine
 from cyclic_env.floor_plans import load_floor_plans
 
@@ -37,7 +41,9 @@ ALGORITHMS: Mapping[str, type[BaseAlgorithm]] = {"a2c": A2C, "ppo": PPO, "sac": 
 CONTINUOUS_ONLY = ("sac", "td3")
 
 MODEL, SETTINGS, PROGRESS = "model.zip", "settings.json", "progress.csv"
-PROGRESS_COLUMNS = ("return", "length", "coverage", "cycles_closed", "false_claims", "collisions", "is_success")
+STORED = "training_settings"
+"""Attribute of a model that holds its settings, so that they are saved with it."""
+PROGRESS_COLUMNS = ("cycles_closed", "false_claims", "return", "length", "coverage", "collisions", "is_success")
 
 ROLLOUT = 128
 """Steps of each row between two updates of PPO."""
@@ -62,10 +68,8 @@ class TrainingSettings:
     seed: int = 0
 
     def __post_init__(self) -> None:
-        if self.algo not in ALGORITHMS:
-            raise ConfigError(unknown_name("algorithm", self.algo, ALGORITHMS))
-        if self.action_type not in ACTION_TYPES:
-            raise ConfigError(unknown_name("action type", self.action_type, ACTION_TYPES))
+        checked_name("algorithm", self.algo, ALGORITHMS)
+        checked_name("action type", self.action_type, ACTION_TYPES)
         if self.action_type == "discrete" and self.algo in CONTINUOUS_ONLY:
             raise ConfigError(f"{self.algo} takes no discrete actions; use ppo or a2c, or another action type.")
         noise_from_name(self.noise)
@@ -90,7 +94,7 @@ class TrainingSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainedModel:
-    """A model, and what it was trained with; the settings are None for a zip that came without them."""
+    """A model, and what it was trained with; None for a model that is not from `train`."""
 
     model: BaseAlgorithm
     settings: TrainingSettings | None
@@ -112,7 +116,8 @@ def train(
     ----------
     settings : TrainingSettings
     steps : int
-        Steps of all robots together, those before a resumption included; rounded up to whole updates.
+        Steps of all robots together, those before a resumption included; rounded up, since the algorithms learn in
+        whole updates (PPO's of 128 steps of each robot).
     out : path
         Folder for the model; made if need be, and tried before anything else.
     resume : bool
@@ -138,8 +143,6 @@ def train(
     if steps < 1:
         raise ConfigError(f"steps is {steps}; expected at least 1.")
     path = out / MODEL
-    if resume and not path.is_file():
-        raise ConfigError(f"there is no {MODEL} in {out} to resume from; leave out --resume to begin.")
     if path.exists() and not (resume or overwrite):
         raise ConfigError(
             f"{out} holds a model already; go on with --resume, replace it with --overwrite, or use another --out."
@@ -149,8 +152,8 @@ def train(
     venv = settings.make_env()
     try:
         if resume:
-            model = _load(path, settings.algo)
-            _check_fits(path, model, venv.observation_space, venv.action_space)
+            model = _load(path)
+            check_fits(path, model, venv.observation_space, venv.action_space)
             if model.num_timesteps >= steps:
                 raise ConfigError(
                     f"{path} has been trained for {model.num_timesteps} steps already; give more than these as --steps."
@@ -160,7 +163,17 @@ def train(
         else:
             model = _new_model(settings, venv)
             save(model, settings, out)  # so that no model of before stands beside the new settings, whatever happens
-        callback = _Bookkeeper(settings, out, steps, save_every, ProgressLine() if progress else None, append=resume)
+        end = _end_of_training(model, steps)
+        if progress:
+            budget = min(venv.get_attr("step_budget"))
+            first_end = budget * settings.num_envs + model.num_timesteps
+            print(
+                f"training {settings.algo} on {','.join(settings.map_name)} until step {end:,}"
+                + (f" ({steps:,} rounded up to whole updates)" if end > steps else "")
+                + f"; each episode, the first by step {first_end:,}, will be a line of {out / PROGRESS}",
+                file=sys.stderr,
+            )
+        callback = _Bookkeeper(settings, out, end, save_every, ProgressLine() if progress else None, append=resume)
         try:
             model.learn(steps - model.num_timesteps, callback=callback, reset_num_timesteps=not resume)
             complete = True
@@ -171,6 +184,12 @@ def train(
     finally:
         venv.close()
     return model, complete
+
+
+def _end_of_training(model: BaseAlgorithm, steps: int) -> int:
+    """Return the first step from `steps` on at which an update of the model ends."""
+    update = model.n_envs * (model.n_steps if isinstance(model, OnPolicyAlgorithm) else 1)
+    return model.num_timesteps + math.ceil((steps - model.num_timesteps) / update) * update
 
 
 def _new_model(settings: TrainingSettings, venv: CyclicLoopVecEnv) -> BaseAlgorithm:
@@ -207,19 +226,19 @@ class _Bookkeeper(BaseCallback):
         self,
         settings: TrainingSettings,
         out: Path,
-        steps: int,
+        end: int,
         save_every: int,
         line: ProgressLine | None,
         *,
         append: bool,
     ) -> None:
         super().__init__()
-        self._settings, self._out, self._steps, self._save_every, self._line = settings, out, steps, save_every, line
-        self._file = (out / PROGRESS).open("a" if append else "w", newline="")
+        self._settings, self._out, self._end, self._save_every, self._line = settings, out, end, save_every, line
+        self._file = (out / PROGRESS).open("a" if append else "w", newline="", buffering=1)  # whole lines at once
         self._writer = csv.writer(self._file)
         if self._file.tell() == 0:
             self._writer.writerow(["steps", *PROGRESS_COLUMNS])
-        self._returns: deque[float] = deque(maxlen=100)
+        self._episodes: deque[list[float]] = deque(maxlen=100)
         self._first = self._saved = 0
         self._began = 0.0
 
@@ -230,23 +249,21 @@ class _Bookkeeper(BaseCallback):
     def _on_step(self) -> bool:
         for info in self.locals["infos"]:
             if "episode" in info:
-                self._returns.append(info["episode"]["r"])
-                own = {"return": info["episode"]["r"], "length": info["episode"]["l"]}
-                self._writer.writerow([self.num_timesteps, *(own.get(key, info.get(key)) for key in PROGRESS_COLUMNS)])
+                values = {**info, "return": info["episode"]["r"], "length": info["episode"]["l"]}
+                self._episodes.append([values[column] for column in PROGRESS_COLUMNS])
+                self._writer.writerow([self.num_timesteps, *self._episodes[-1]])
         if self._line is not None:
-            done = self.num_timesteps - self._first
-            rate = done / max(time.monotonic() - self._began, 1e-9)
-            left = max(self._steps - self.num_timesteps, 0) / rate
-            share = min(1.0, self.num_timesteps / self._steps)
-            bar = ("#" * round(20 * share)).ljust(20, ".")
-            score = f", return {np.mean(self._returns):.1f} (last {len(self._returns)})" if self._returns else ""
-            self._line.show(
-                f"[{bar}] {self.num_timesteps:,} of {self._steps:,} steps, {rate:,.0f} a second, "
-                f"{int(left) // 60}:{int(left) % 60:02d} left{score}"
-            )
+            rate = (self.num_timesteps - self._first) / max(time.monotonic() - self._began, 1e-9)
+            left = int((self._end - self.num_timesteps) / rate)
+            scores = "no episode has ended yet"
+            if self._episodes:
+                cycles, false_claims, episode_return, *_ = np.mean(self._episodes, axis=0)
+                scores = f"{cycles:.2f} cycles, {false_claims:.1f} false claims, return {episode_return:.1f}"
+                scores += f" (last {len(self._episodes)})"
+            done = f"{self.num_timesteps / self._end:.0%} of {self._end:,} steps, {left // 60}:{left % 60:02d} left"
+            self._line.show(f"{done}, {scores}")
         if self.num_timesteps - self._saved >= self._save_every:
             self._saved = self.num_timesteps
-            self._file.flush()
             save(self.model, self._settings, self._out)
         return True
 
@@ -258,41 +275,18 @@ class _Bookkeeper(BaseCallback):
 
 def save(model: BaseAlgorithm, settings: TrainingSettings, out: Path) -> None:
     """Write the model and its settings; a model that is there is replaced only when the new one is complete."""
+    vars(model)[STORED] = asdict(settings)
     fresh = out / f"fresh_{MODEL}"
     model.save(fresh)
     fresh.replace(out / MODEL)
-    save_settings(settings, out, model.num_timesteps)
-
-
-def save_settings(settings: TrainingSettings, out: Path, steps: int) -> None:
-    """Write the settings, the steps trained so far, and the versions of all that took part."""
     packages = {"cyclic-loop": cyclic_env.__version__, "python": platform.python_version()}
     for package in ("gymnasium", "numpy", "pymunk", "stable-baselines3", "torch"):
         try:
             packages[package] = version(package)
         except PackageNotFoundError:
             packages[package] = "unknown"
-    text = json.dumps({**asdict(settings), "steps": steps, "versions": packages}, indent=2)
+    text = json.dumps({**asdict(settings), "steps": model.num_timesteps, "versions": packages}, indent=2)
     (out / SETTINGS).write_text(text + "\n", encoding="utf-8")
-
-
-def load_settings(folder: Path) -> TrainingSettings | None:
-    """Return the settings that are in a folder, or None if there are none.
-
-    Raises
-    ------
-    ConfigError
-        If the file is malformed.
-    """
-    path = folder / SETTINGS
-    if not path.is_file():
-        return None
-    try:
-        entries = json.loads(path.read_text(encoding="utf-8"))
-        known = {field.name: entries[field.name] for field in fields(TrainingSettings)}
-        return TrainingSettings(**{**known, "map_name": tuple(known["map_name"])})
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ConfigError(f"{path} is no settings file of scripts/train.py: {error!r}.") from error
 
 
 def training_settings(given: Mapping[str, Any]) -> TrainingSettings:
@@ -311,9 +305,11 @@ def resumed_settings(out: Path, given: Mapping[str, Any]) -> TrainingSettings:
     ConfigError
         If there is no run, or any of the `given` fields (as `training_settings` takes them) differ from its own.
     """
-    settings = load_settings(out)
+    if not (out / MODEL).is_file():
+        raise ConfigError(f"there is no {MODEL} in {out} to resume from; leave out --resume to begin.")
+    settings = stored_settings(out / MODEL)
     if settings is None:
-        raise ConfigError(f"there is no {SETTINGS} in {out} to resume from; leave out --resume to begin.")
+        raise ConfigError(f"{out / MODEL} was not made by scripts/train.py, so it can't be resumed; use another --out.")
     asked = training_settings(given)
     for name in given:
         own, wanted = getattr(settings, name), getattr(asked, name)
@@ -323,7 +319,7 @@ def resumed_settings(out: Path, given: Mapping[str, Any]) -> TrainingSettings:
 
 
 def load_trained(path: Path) -> TrainedModel:
-    """Return the model of a zip, or of the folder of a training run, with the settings beside it.
+    """Return the model of a zip, or of the folder of a training run.
 
     Raises
     ------
@@ -331,11 +327,38 @@ def load_trained(path: Path) -> TrainedModel:
         If there is none, or it is no model of a known algorithm.
     """
     zip_path = path / MODEL if path.is_dir() else path
-    settings = load_settings(zip_path.parent) if zip_path.name == MODEL else None
-    return TrainedModel(model=_load(zip_path, settings.algo if settings else None), settings=settings)
+    return TrainedModel(model=_load(zip_path), settings=stored_settings(zip_path))
 
 
-def check_fits(path: Path, model: BaseAlgorithm, env: gymnasium.vector.VectorEnv) -> None:
+def stored_settings(path: Path) -> TrainingSettings | None:
+    """Return the settings that a model was trained with, which are in its zip; None if it is not from `train`.
+
+    Raises
+    ------
+    ConfigError
+        If the zip is no model, or the `SETTINGS` beside it say something else: someone changed them.
+    """
+    stored = _stored_data(path).get(STORED)
+    if stored is None:
+        return None
+    copy = path.with_name(SETTINGS)
+    if path.name == MODEL and copy.exists():
+        try:
+            entries = json.loads(copy.read_text(encoding="utf-8"))
+            changed = [name for name in stored if entries[name] != stored[name]]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ConfigError(f"{copy} is not as scripts/train.py wrote it; put it back, or delete it.") from error
+        for name in changed:
+            raise ConfigError(
+                f"{copy} says {name} {entries[name]!r}, but the model was trained with {stored[name]!r}; put that back."
+            )
+    try:
+        return TrainingSettings(**{**stored, "map_name": tuple(stored["map_name"])})
+    except (KeyError, TypeError) as error:
+        raise ConfigError(f"{path} was trained with another version, or is damaged: {error!r}.") from error
+
+
+def check_fits(path: Path, model: BaseAlgorithm, observations: gymnasium.Space, actions: gymnasium.Space) -> None:
     """Check that the model takes the env's observations, and the env the model's actions.
 
     Raises
@@ -343,10 +366,6 @@ def check_fits(path: Path, model: BaseAlgorithm, env: gymnasium.vector.VectorEnv
     ConfigError
         If they don't.
     """
-    _check_fits(path, model, env.single_observation_space, env.single_action_space)
-
-
-def _check_fits(path: Path, model: BaseAlgorithm, observations: gymnasium.Space, actions: gymnasium.Space) -> None:
     for kind, own, its in (
         ("observations", model.observation_space, observations),
         ("actions", model.action_space, actions),
@@ -355,12 +374,8 @@ def _check_fits(path: Path, model: BaseAlgorithm, observations: gymnasium.Space,
             raise ConfigError(f"{path} does not fit the environment: its {kind} are {own}, the environment's {its}.")
 
 
-def _load(path: Path, algo: str | None) -> BaseAlgorithm:
-    if not path.is_file():
-        raise ConfigError(f"there is no model file {path}.")
-    if not zipfile.is_zipfile(path):
-        raise ConfigError(f"{path} is no zip file, so it is no model of Stable-Baselines3.")
-    algo = algo or _algorithm_of(path)
+def _load(path: Path) -> BaseAlgorithm:
+    algo = _algorithm_of(path)
     try:
         return ALGORITHMS[algo].load(path, device="cpu")
     except Exception as error:  # whatever unpickling meets in a file that is no model, or a damaged one
@@ -369,11 +384,7 @@ def _load(path: Path, algo: str | None) -> BaseAlgorithm:
 
 def _algorithm_of(path: Path) -> str:
     """Tell the algorithm of a model by the names of its parameters, since SB3 doesn't save it."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            names = set(json.loads(archive.read("data")))
-    except (KeyError, ValueError, OSError, zipfile.BadZipFile) as error:
-        raise ConfigError(f"{path} is a zip file, but no model of Stable-Baselines3.") from error
+    names = _stored_data(path)
     for parameter, algo in (
         ("clip_range", "ppo"),
         ("target_entropy", "sac"),
@@ -385,6 +396,17 @@ def _algorithm_of(path: Path) -> str:
     raise ConfigError(f"{path} is a model of an unknown algorithm; known: {', '.join(ALGORITHMS)}.")
 
 
+def _stored_data(path: Path) -> dict[str, Any]:
+    """Return the parameters of a model by name, those that are no plain data as SB3 wraps them."""
+    if not path.is_file():
+        raise ConfigError(f"there is no model file {path}.")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return dict(json.loads(archive.read("data")).items())
+    except Exception as error:  # whatever a damaged zip, or one of something else, brings up
+        raise ConfigError(f"{path} is no model of Stable-Baselines3, or a damaged one: {error!r}.") from error
+
+
 def _check_writable(out: Path) -> None:
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -393,3 +415,6 @@ def _check_writable(out: Path) -> None:
         trial.unlink()
     except OSError as error:
         raise ConfigError(f"can't write to the output folder {out}: {error.strerror}.") from error
+    for path in (out / MODEL, out / SETTINGS, out / PROGRESS):
+        if path.exists() and not (path.is_file() and os.access(path, os.W_OK)):
+            raise ConfigError(f"can't write to {path}: it is no file, or not yours; use another --out.")

@@ -8,12 +8,14 @@ environment spec holds after a trip through JSON).
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, fields
 from numbers import Integral, Real
 from typing import Any, Literal, TypeGuard, TypeVar
 
-from cyclic_env.errors import ConfigError, unknown_name
+import numpy as np
+
+from cyclic_env.errors import ConfigError, CyclicLoopError, shown, unknown_name
 
 ActionType = Literal["wheels", "twist", "discrete"]
 ACTION_TYPES: tuple[ActionType, ...] = ("wheels", "twist", "discrete")
@@ -23,8 +25,8 @@ T = TypeVar("T")
 
 def _check(owner: object, condition: bool, field: str, expected: str) -> None:
     if not condition:
-        got = getattr(owner, field)
-        raise ConfigError(f"{type(owner).__name__}.{field} is {got!r}; expected {expected}.")
+        got = shown(getattr(owner, field))
+        raise ConfigError(f"{type(owner).__name__}.{field} is {got}; expected {expected}.")
 
 
 def _check_number(owner: object, field: str, low: float, high: float = math.inf, *, open_low: bool = False) -> None:
@@ -36,16 +38,49 @@ def _check_number(owner: object, field: str, low: float, high: float = math.inf,
     inside = math.isfinite(number) and (low < number if open_low else low <= number) and number <= high
     bound = f"{'more than' if open_low else 'at least'} {low:g}" + (f", at most {high:g}" if high < math.inf else "")
     _check(owner, inside, field, f"a finite number, {bound}")
+    object.__setattr__(owner, field, number)  # for the kernels: no fraction, nothing in single precision
 
 
 def _check_integer(owner: object, field: str, low: int, high: int) -> None:
     value = getattr(owner, field)
     _check(owner, is_integer(value) and low <= value <= high, field, f"a whole number from {low} to {high}")
+    object.__setattr__(owner, field, int(value))
 
 
 def is_integer(value: object) -> TypeGuard[int]:
     """Tell whether the value is a whole number, of Python or NumPy; True and False are not."""
     return isinstance(value, Integral) and not isinstance(value, bool)
+
+
+def checked_name(kind: str, name: T, known: Collection[T]) -> T:
+    """Return the name of a `kind` of thing.
+
+    Raises
+    ------
+    ConfigError
+        If it is not `known`; the message has the nearest.
+    """
+    if not isinstance(name, str) or name not in known:
+        raise ConfigError(unknown_name(kind, name, map(str, known)))
+    return name
+
+
+def real_array(value: Any, what: str, expected: str, error: type[CyclicLoopError]) -> np.ndarray:
+    """Return `value` as an array of real numbers of any shape; the message says `what` it is and what is `expected`.
+
+    Raises
+    ------
+    error
+        If it is none: complex, text, times, ragged, or with objects such as whole numbers beyond 64 bits.
+    """
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "biuf":
+            raise TypeError(f"its type is {array.dtype}")
+    except Exception as problem:  # other libraries' arrays raise what they like
+        reason = " ".join(str(problem).split())
+        raise error(f"{what} is not an array of numbers ({reason}); expected {expected}.") from problem
+    return array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -287,7 +322,5 @@ def noise_from_name(noise: str | NoiseConfig | Mapping[str, Any] | None) -> Nois
     if noise is None:
         raise ConfigError(f"noise is None; expected a preset ({', '.join(NOISE_PRESETS)}) or a NoiseConfig.")
     if isinstance(noise, str):
-        if noise not in NOISE_PRESETS:
-            raise ConfigError(unknown_name("noise preset", noise, NOISE_PRESETS))
-        return NOISE_PRESETS[noise]
+        return NOISE_PRESETS[checked_name("noise preset", noise, NOISE_PRESETS)]
     return from_mapping(NoiseConfig, noise)

@@ -20,6 +20,9 @@ from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.floor_plans.wall_tiles import GRID
 
+CELLS_MAX = 20_000_000
+"""Most cells of a plan: a gigabyte while they are built."""
+
 ROUNDING = 1e-9
 """Cells. A beam that ends at a wall on a grid line must not enter the cell behind it by rounding."""
 
@@ -52,7 +55,7 @@ def build_coverage_grid(plans: Sequence[FloorPlan], num_robots: int, config: Cov
     Raises
     ------
     FloorPlanError
-        If a plan is so small that no cell's centre is free.
+        If a plan has too many cells, or is so small that no cell's centre is free.
     """
     size = float(config.cell_size)
     grids, numbers, first = [], [], 0
@@ -61,9 +64,13 @@ def build_coverage_grid(plans: Sequence[FloorPlan], num_robots: int, config: Cov
         # With a ring of spare cells, so that no beam's way needs watching for the grid's end.
         west, south = west - size, south - size
         columns, rows = math.ceil((east - west) / size) + 1, math.ceil((north - south) / size) + 1
+        if columns * rows > CELLS_MAX:
+            raise FloorPlanError(
+                f"floor plan {plan.name!r} has {columns} x {rows} cells of {size:g} m; make cell_size larger, "
+                f"for at most {CELLS_MAX}."
+            )
         x, y = np.meshgrid(west + size * (np.arange(columns) + 0.5), south + size * (np.arange(rows) + 0.5))
-        shapely.prepare(plan.free_space)
-        free = shapely.contains_xy(plan.free_space, x.ravel(), y.ravel())
+        free = shapely.contains_xy(plan.prepared_space(), x.ravel(), y.ravel())
         if not free.any():
             raise FloorPlanError(
                 f"floor plan {plan.name!r} has no free cell of {size:g} m; make it larger or cell_size smaller."

@@ -14,7 +14,7 @@ from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple, TypedDict
 
 import numpy as np
 import shapely
@@ -29,13 +29,16 @@ from cyclic_env.config import (
     NoiseConfig,
     RewardConfig,
     RobotConfig,
+    checked_name,
     from_mapping,
     is_integer,
     noise_from_name,
+    real_array,
 )
 from cyclic_env.coverage import CoverageGrid, build_coverage_grid, mark_scan, seen_cells
-from cyclic_env.errors import ActionError, ConfigError, FloorPlanError, UsageError, unknown_name
+from cyclic_env.errors import ActionError, ConfigError, FloorPlanError, UsageError, shown, unknown_name
 from cyclic_env.floor_plans import FloorPlan, MapName, load_floor_plans
+from cyclic_env.floor_plans.floor_plan import Pose
 from cyclic_env.floor_plans.wall_tiles import WallTiles, build_wall_tiles
 from cyclic_env.laser import beam_directions, scan_row
 from cyclic_env.loop_closure import (
@@ -70,6 +73,7 @@ CORRIDOR_WIDTH = 2.0
 """The step budget is enough to drive this many times through corridors of this width (metres) with the plan's area."""
 
 STEP_BUDGET_MAX = 10_000_000
+NUM_ROBOTS_MAX = 1_000_000
 
 INFO = np.dtype(
     [
@@ -134,6 +138,21 @@ class EngineConfig:
         return math.ceil(BUDGET_LAPS * plan.free_area / CORRIDOR_WIDTH / self.robot.advance_max)
 
 
+class Settings(TypedDict, total=False):
+    """What an environment can be told beside its map; see `CyclicLoopEnv`."""
+
+    noise: str | NoiseConfig | Mapping[str, Any]
+    action_type: ActionType
+    random_start: bool
+    terminate_on_collision: bool
+    step_budget: int | None
+    robot: RobotConfig | Mapping[str, Any] | None
+    laser: LaserConfig | Mapping[str, Any] | None
+    closure: ClosureConfig | Mapping[str, Any] | None
+    coverage: CoverageConfig | Mapping[str, Any] | None
+    reward: RewardConfig | Mapping[str, Any] | None
+
+
 def engine_config(
     *,
     map_name: MapName | Sequence[MapName] = "killian_court",
@@ -159,18 +178,16 @@ def engine_config(
     for name in unknown:
         known = [name for name in inspect.signature(engine_config).parameters if name != "unknown"]
         raise ConfigError(unknown_name("argument", name, [*known, "render_mode"]))
-    if action_type not in ACTION_TYPES:
-        raise ConfigError(unknown_name("action type", action_type, ACTION_TYPES))
     for name, value in (("random_start", random_start), ("terminate_on_collision", terminate_on_collision)):
         if not isinstance(value, bool | np.bool_):
-            raise ConfigError(f"{name} is {value!r}; expected True or False.")
+            raise ConfigError(f"{name} is {shown(value)}; expected True or False.")
     if step_budget is not None and (not is_integer(step_budget) or not 1 <= step_budget <= STEP_BUDGET_MAX):
         raise ConfigError(
-            f"step_budget is {step_budget!r}; expected a whole number from 1 to {STEP_BUDGET_MAX}, or None."
+            f"step_budget is {shown(step_budget)}; expected a whole number from 1 to {STEP_BUDGET_MAX}, or None."
         )
     config = EngineConfig(
         plans=load_floor_plans(map_name),
-        action_type=action_type,
+        action_type=checked_name("action type", action_type, ACTION_TYPES),
         random_start=bool(random_start),
         terminate_on_collision=bool(terminate_on_collision),
         step_budget=None if step_budget is None else int(step_budget),
@@ -225,6 +242,13 @@ class Engine:
     config : EngineConfig
     num_robots : int
 
+    Raises
+    ------
+    ConfigError
+        If there is not enough memory for so many robots and steps.
+    FloorPlanError
+        If a plan does not suit the robot or the cells.
+
     Attributes
     ----------
     info : (N,) array of `INFO`
@@ -255,28 +279,34 @@ class Engine:
             step_budget=step_budget,
             terminate_on_collision=config.terminate_on_collision,
         )
-        self.simulation = Simulation(config.robot, config.plans, num_robots)
-        self.sensors = Sensors(config.noise, config.laser, num_robots)
-        self.info = np.zeros(num_robots, INFO)
-        self.terms = np.zeros((num_robots, len(REWARD_TERMS)))
-        self.outcome = np.zeros(num_robots, OUTCOME)
-        self.episodes = Episodes(
-            plan_of=self.simulation.plan_of,
-            drive=self.simulation.drive,
-            true_ranges=self.sensors.true_ranges,
-            scratch=np.empty((num_robots, 2 * config.laser.num_beams)),
-            grid=build_coverage_grid(config.plans, num_robots, config.coverage),
-            memory=allocate_memory(config.plans, num_robots, int(step_budget.max()), config.closure),
-            info=self.info,
-            terms=self.terms,
-            outcome=self.outcome,
-        )
-        self._commands = np.zeros((num_robots, 2))
-        self._claimed = np.full(num_robots, NO_CLAIM, np.int64)
+        try:
+            self.simulation = Simulation(config.robot, config.plans, num_robots)
+            self.sensors = Sensors(config.noise, config.laser, num_robots)
+            self.info = np.zeros(num_robots, INFO)
+            self.terms = np.zeros((num_robots, len(REWARD_TERMS)))
+            self.outcome = np.zeros(num_robots, OUTCOME)
+            self.episodes = Episodes(
+                plan_of=self.simulation.plan_of,
+                drive=self.simulation.drive,
+                true_ranges=self.sensors.true_ranges,
+                scratch=np.empty((num_robots, 2 * config.laser.num_beams)),
+                grid=build_coverage_grid(config.plans, num_robots, config.coverage),
+                memory=allocate_memory(config.plans, num_robots, int(step_budget.max()), config.closure),
+                info=self.info,
+                terms=self.terms,
+                outcome=self.outcome,
+            )
+            self._commands = np.zeros((num_robots, 2))
+            self._claimed = np.full(num_robots, NO_CLAIM, np.int64)
+        except (MemoryError, OSError) as error:
+            raise ConfigError(
+                f"there is not enough memory for num_envs {num_robots} and paths of {step_budget.max()} steps; "
+                "lower num_envs or step_budget."
+            ) from error
         self._shares: list[tuple[list[World], np.ndarray]] = []
         self._threads: ThreadPoolExecutor | None = None
         self._threads_of = 0
-        self._interrupted = False
+        self._ready = bytearray(num_robots)  # 0 before a robot's first reset, and after an interrupted step or reset
 
     def reset_row(self, row: int, rng: np.random.Generator, start: Any = None) -> None:
         """Begin an episode of one robot; draws from `rng` the plan, the start, and the sensors' errors.
@@ -293,21 +323,26 @@ class Engine:
         FloorPlanError
             If the robot can't stand at `start`.
         """
-        config = self.config
-        plan = int(rng.integers(len(config.plans))) if len(config.plans) > 1 else 0
-        if start is not None:
-            pose = self.checked_start(plan, start)
-        elif config.random_start:
-            pose = self._random_start(plan, rng)
-        else:
-            pose = config.plans[plan].start
-        pose = (float(pose[0]), float(pose[1]), wrap_angle(float(pose[2])))
-        self.simulation.place(row, plan, pose)
+        plan, (x, y, heading) = self.draw_place(rng, start)
+        self._ready[row] = False
+        self.simulation.place(row, plan, (x, y, heading))
         self._shares = []
-        self._interrupted = False
         self.sensors.reset_row(row, rng)
         with self._compiling():
-            begin_episode(self.buildings, self.episodes, row, pose[0], pose[1], pose[2])
+            begin_episode(self.buildings, self.episodes, row, x, y, heading)
+        self._ready[row] = True
+
+    def draw_place(self, rng: np.random.Generator, start: Any) -> tuple[int, Pose]:
+        """Return the plan and the pose with which an episode begins; for the arguments and errors see `reset_row`."""
+        plans = self.config.plans
+        plan = int(rng.integers(len(plans))) if len(plans) > 1 else 0
+        if start is not None:
+            x, y, heading = self._checked_start(plan, start)
+        elif self.config.random_start:
+            x, y, heading = self._random_start(plan, rng)
+        else:
+            x, y, heading = plans[plan].start
+        return plan, (x, y, wrap_angle(math.remainder(heading, 2 * math.pi)))  # exact for the largest headings, too
 
     def measure(self, rows: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
         """Take the sensors' readings of the robots `rows`."""
@@ -327,20 +362,22 @@ class Engine:
         Raises
         ------
         ActionError
-            If the actions have the wrong shape or type, or hold a NaN.
+            If the actions have the wrong shape or type, or those of robots that are not to be reset hold a NaN.
+        UsageError
+            If a robot has begun no episode, or its last step or reset was interrupted.
         """
-        if self._interrupted:
-            raise UsageError("the last step was interrupted half-way: call reset() first.")
-        self._take_actions(actions)
+        if 0 in self._ready:
+            raise UsageError("there is no episode yet, or its last step was interrupted half-way: call reset() first.")
+        self._take_actions(actions, skip)
         if not self._shares:
             self._shares = self._divide()
         shares = self._shares
-        if skip is not None and skip.any():
+        if skip is not None:
             shares = [(worlds, rows[~skip[rows]]) for worlds, rows in shares]
-        self._interrupted = True
+        self._ready = bytearray(self.num_robots)
         with self._compiling():
             self._step_shares(shares, rngs)
-        self._interrupted = False
+        self._ready = bytearray(b"\1" * self.num_robots)
         Engine._warm = True
 
     def _compiling(self) -> AbstractContextManager[None]:
@@ -369,23 +406,20 @@ class Engine:
         parts = [worlds[i::count] for i in range(count)]
         return [(part, np.sort(np.concatenate([world.rows for world in part]))) for part in parts]
 
-    def _take_actions(self, actions: Any) -> None:
-        """Turn actions into wheel speeds and claimed steps."""
+    def _take_actions(self, actions: Any, skip: np.ndarray | None = None) -> None:
+        """Turn actions into wheel speeds and claimed steps; those of the robots to skip, into standing still."""
         discrete = self.config.action_type == "discrete"
         shape = (self.num_robots, 2 if discrete else 4)
-        try:
-            array = np.asarray(actions)
-            if discrete and array.dtype.kind not in "iu":
-                raise ActionError(f"a discrete action holds whole numbers, got an array of type {array.dtype}.")
-            array = array.astype(np.float64)
-        except (TypeError, ValueError, OverflowError, RuntimeError) as error:
-            if isinstance(error, ActionError):
-                raise
-            raise ActionError(f"the action is not an array of numbers: {error}.") from error
+        array = real_array(actions, "the action", "one of the action space", ActionError)
         if array.shape != shape:
-            raise ActionError(
-                f"the action has shape {array.shape[1:]}; expected {shape[1:]}, for {shape[0]} robots {shape}."
-            )
+            if array.shape[:1] != shape[:1]:
+                raise ActionError(f"the actions have shape {array.shape}; expected {shape}, a row for each robot.")
+            raise ActionError(f"the action has shape {array.shape[1:]}; expected {shape[1:]}.")
+        if discrete and array.dtype.kind not in "iu":
+            raise ActionError(f"a discrete action holds whole numbers, got an array of type {array.dtype}.")
+        array = array.astype(np.int64 if discrete else np.float64)
+        if skip is not None:
+            array[skip] = 0
         status, robot = self.episodes.memory.status, self.config.robot
         if discrete:
             bad = decode_discrete(array, robot.wheel_speed_max, DISCRETE_WHEELS, self._commands, self._claimed)
@@ -399,25 +433,18 @@ class Engine:
         if bad >= 0:
             raise ActionError(f"the action of robot {bad} is {array[bad].tolist()}; expected {expected}.")
 
-    def checked_start(self, plan: int, start: Any) -> np.ndarray:
-        """Return a start in the plan of that number as an array (x, y, heading).
-
-        Raises
-        ------
-        FloorPlanError
-            If the robot can't stand there.
-        """
-        try:
-            pose = np.asarray(start, dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise FloorPlanError(f"start is {start!r}; expected (x, y, heading) in metres and radians.") from error
+    def _checked_start(self, plan: int, start: Any) -> Pose:
+        """Return a start at which the robot can stand in the plan of that number."""
+        expected = "(x, y, heading) in metres and radians, all finite"
+        pose = real_array(start, "start", expected, FloorPlanError).astype(np.float64)
         if pose.shape != (3,) or not np.isfinite(pose).all():
-            raise FloorPlanError(f"start is {start!r}; expected (x, y, heading) in metres and radians, all finite.")
-        if not shapely.intersects_xy(self._reachable[plan], pose[0], pose[1]):
-            self.config.plans[plan].reachable(self.config.robot.radius, pose.tolist())  # raises, with the reason
-        return pose
+            raise FloorPlanError(f"start is {shown(start)}; expected {expected}.")
+        x, y, heading = pose.tolist()
+        if not shapely.intersects_xy(self._reachable[plan], x, y):
+            self.config.plans[plan].reachable(self.config.robot.radius, (x, y))  # raises, with the reason
+        return x, y, heading
 
-    def _random_start(self, plan: int, rng: np.random.Generator) -> tuple[float, float, float]:
+    def _random_start(self, plan: int, rng: np.random.Generator) -> Pose:
         west, south, east, north = self._reachable[plan].bounds
         for _ in range(10_000):
             points = rng.uniform((west, south), (east, north), (64, 2))
@@ -437,7 +464,7 @@ class Engine:
 
     def trajectory(self, row: int) -> np.ndarray:
         """Return the true way of a robot since its reset, `(t + 1, 3)`: x, y and path length, metres."""
-        self._check_placed(row)
+        self.check_placed(row)
         memory = self.episodes.memory
         return memory.track[row, : memory.status["steps"][row] + 1].copy()
 
@@ -446,21 +473,24 @@ class Engine:
 
         Their places are ``trajectory(row)[claims["step"]]`` and, but for a match of -1, ``[claims["match"]]``.
         """
+        self.check_placed(row)
         memory = self.episodes.memory
         return memory.claims[row, : memory.status["claims"][row]].copy()
 
     def seen_cells(self, row: int) -> np.ndarray:
         """Return what a robot has seen of its plan; see `cyclic_env.coverage.seen_cells`."""
-        self._check_placed(row)
+        self.check_placed(row)
         return seen_cells(self.episodes.grid, row, int(self.simulation.plan_of[row]))
 
-    def _check_placed(self, row: int) -> None:
-        if not self.is_placed(row):
+    def check_placed(self, row: int) -> None:
+        """Raise a `UsageError` unless there is a robot of that number, and it has begun an episode."""
+        self._check_row(row)
+        if self.simulation.plan_of[row] < 0:
             raise UsageError("there is no episode yet: call reset() first.")
 
-    def is_placed(self, row: int) -> bool:
-        """Tell whether a robot has begun an episode."""
-        return bool(self.simulation.plan_of[row] >= 0)
+    def _check_row(self, row: int) -> None:
+        if not is_integer(row) or not 0 <= row < self.num_robots:
+            raise UsageError(f"row is {shown(row)}; expected a whole number from 0 to {self.num_robots - 1}.")
 
     def plan(self, row: int) -> FloorPlan:
         """Return the floor plan in which a robot is.
@@ -468,11 +498,12 @@ class Engine:
         Raises
         ------
         UsageError
-            If it has begun no episode, and there is a pool to draw from.
+            If there is no such robot; or it has begun no episode, and there is a pool to draw from.
         """
+        self._check_row(row)
         if len(self.config.plans) == 1:
             return self.config.plans[0]
-        self._check_placed(row)
+        self.check_placed(row)
         return self.config.plans[self.simulation.plan_of[row]]
 
     def close(self) -> None:
@@ -530,9 +561,9 @@ def decode_continuous(actions, status, twist, wheel_speed_max, axle_track, comma
 
 @compiled
 def decode_discrete(actions, wheel_speed_max, wheels, commands, claimed):
-    """Turn actions `(N, 2)` into wheel speeds `(N, 2)` and claims `(N,)`; return a row out of range, or -1."""
+    """Turn actions `(N, 2)` int64 into wheel speeds `(N, 2)` and claims `(N,)`; return a row out of range, or -1."""
     for row in range(actions.shape[0]):
-        drive, claim = int(actions[row, 0]), int(actions[row, 1])
+        drive, claim = actions[row, 0], actions[row, 1]
         if not (0 <= drive < wheels.shape[0] and 0 <= claim <= 1):
             return row
         commands[row, 0], commands[row, 1] = wheels[drive, 0] * wheel_speed_max, wheels[drive, 1] * wheel_speed_max
@@ -571,7 +602,7 @@ def step_rows(buildings, episodes, rows, claimed):
     for row in rows:
         plan, robot, ranges = episodes.plan_of[row], episodes.drive[row], episodes.true_ranges[row]
         if episodes.memory.status[row].steps >= buildings.step_budget[plan]:
-            continue  # only after an interrupted step: there is no room for another
+            continue  # there is no room for another
         outcome, info = episodes.outcome[row], episodes.info[row]
         path, ground = path_of(episodes.memory, row), ground_of(episodes.memory, plan)
         status = path.status

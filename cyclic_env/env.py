@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import gymnasium
 import numpy as np
 
-from cyclic_env.engine import INFO, Engine, engine_config
+from cyclic_env.engine import INFO, Engine, Settings, engine_config
 from cyclic_env.errors import UsageError
 from cyclic_env.floor_plans import FloorPlan, MapName
 from cyclic_env.interface import (
     RENDER_FPS,
     RENDER_MODES,
+    Turn,
     action_space,
     checked_render_mode,
+    checked_seed,
     observation_space,
+    rehearsed,
     start_option,
 )
 from cyclic_env.rewards import REWARD_TERMS
@@ -87,7 +90,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     ----------
     map_name : str, path, FloorPlan, or a list of these
         A shipped plan (``cyclic_env.map_names()``), a YAML file, or a plan itself. A list is a pool: every reset
-        draws one.
+        draws one. Give names, and paths as text, where the environment's ``spec`` is to be written as JSON.
     noise : str, NoiseConfig or mapping
         Preset of the sensors' errors: ``"ideal"``, ``"calibrated"``, ``"typical"``, ``"poor"``; or your own.
     action_type : {"wheels", "twist", "discrete"}
@@ -124,13 +127,14 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         map_name: MapName | Sequence[MapName] = "killian_court",
         *,
         render_mode: str | None = None,
-        **settings: Any,
+        **settings: Unpack[Settings],
     ) -> None:
         self.engine = Engine(engine_config(map_name=map_name, **settings), num_robots=1)
         self.action_space = action_space(self.engine.config.action_type)
         self.observation_space = observation_space(self.engine.config.laser)
         self.render_mode = checked_render_mode(render_mode)
         self._running = False
+        self._turn = Turn()
         self._renderer: Any = None
 
     def reset(
@@ -144,28 +148,37 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             Seeds all randomness from here on.
         options : dict, optional
             ``{"start": (x, y, heading)}`` in metres and radians.
+
+        Raises
+        ------
+        ConfigError, FloorPlanError
+            If the seed or the start doesn't fit; the running episode goes on.
         """
-        super().reset(seed=seed)
-        start = start_option(options)
-        self.engine.reset_row(0, self.np_random, start)
-        self.engine.measure(np.zeros(1, np.int64), [self.np_random])
-        self._running = True
-        if self.render_mode == "human":
-            self.render()
-        return self._observation(), self._info()
+        with self._turn:
+            start, seed = start_option(options), checked_seed(seed)
+            if start is not None:
+                self.engine.draw_place(rehearsed(self.np_random, seed), start)  # refuse before anything changes
+            super().reset(seed=seed)
+            self.engine.reset_row(0, self.np_random, start)
+            self.engine.measure(np.zeros(1, np.int64), [self.np_random])
+            self._running = True
+            if self.render_mode == "human":
+                self.render()
+            return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Drive for 0.2 s, and make a claim or none."""
-        if not self._running:
-            raise UsageError(
-                "step() needs a running episode: call reset() first, and again after an episode has ended."
-            )
-        self.engine.step([action], [self.np_random])
-        reward, terminated, truncated, *_ = self.engine.outcome[0].item()
-        self._running = not (terminated or truncated)
-        if self.render_mode == "human":
-            self.render()
-        return self._observation(), reward, terminated, truncated, self._info()
+        with self._turn:
+            if not self._running:
+                raise UsageError(
+                    "step() needs a running episode: call reset() first, and again after an episode has ended."
+                )
+            self.engine.step([action], [self.np_random])
+            reward, terminated, truncated, *_ = self.engine.outcome[0].item()
+            self._running = not (terminated or truncated)
+            if self.render_mode == "human":
+                self.render()
+            return self._observation(), reward, terminated, truncated, self._info()
 
     def _observation(self) -> dict[str, np.ndarray]:
         return {name: value[0] for name, value in self.engine.observation().items()}
@@ -205,8 +218,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
                 'render() does nothing without a render_mode; make the env with render_mode="rgb_array".'
             )
             return None
-        if not self.engine.is_placed(0):
-            raise UsageError("render() needs an episode: call reset() first.")
+        self.engine.check_placed(0)
         if self._renderer is None:
             from cyclic_env.rendering import Renderer
 
@@ -214,11 +226,13 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return self._renderer.draw(self.engine, 0)
 
     def close(self) -> None:
-        """Close the window, if there is one."""
-        if self._renderer is not None:
-            self._renderer.close()
-            self._renderer = None
-        self.engine.close()
+        """Close the window, if there is one, and end the threads."""
+        with self._turn:
+            if self._renderer is not None:
+                self._renderer.close()
+                self._renderer = None
+            self.engine.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderer": None}
+        with self._turn:
+            return {**self.__dict__, "_renderer": None}

@@ -7,18 +7,21 @@ lead every report: a policy that claims everywhere closes cycles too, and says n
 from __future__ import annotations
 
 import math
+import shutil
 import sys
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import islice
 from typing import Any, Protocol, TextIO
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from scipy.special import stdtrit
 
-from cyclic_env.errors import ConfigError
+from cyclic_env.config import is_integer
+from cyclic_env.errors import ConfigError, shown
 from cyclic_env.vector_env import CyclicLoopVectorEnv
 
 METRICS = (
@@ -36,7 +39,7 @@ METRICS = (
     "path_length_m",
     "steps",
 )
-"""What a summary has the mean of."""
+"""What a summary has the mean of; of precision and recall, which are shares, that of all episodes taken together."""
 
 BOUNDS = {
     "return": (-math.inf, math.inf),
@@ -53,8 +56,13 @@ BATCH = 16
 Z_95 = 1.959963984540054
 """Half-width of the 95 % interval of a normal variable, in standard deviations."""
 
+EPISODES_MAX = 1_000_000
+"""Most episodes of one evaluation; more are taken for a slip of the hand."""
+
 REDRAW_S = 0.2
 """Seconds between two drawings of the progress line on a terminal."""
+REPORT_S = 30.0
+"""Seconds between two lines of progress where there is no terminal, as in a log file."""
 
 
 class Policy(Protocol):
@@ -108,12 +116,14 @@ def rollout(
     Raises
     ------
     ConfigError
-        If the env resets in another way.
+        If the policy, the env or the seeds are none; before any step.
     """
-    if env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
-        raise ConfigError("evaluation needs an env with autoreset_mode='SAME_STEP'.")
+    if isinstance(policy, type) or not callable(getattr(policy, "predict", None)):
+        raise ConfigError(f"the policy is {shown(policy)}; expected an object with predict(observation, state, ...).")
+    if not isinstance(env, VectorEnv) or env.metadata.get("autoreset_mode") != AutoresetMode.SAME_STEP:
+        raise ConfigError(f"the env is {shown(env)}; expected a vector env with autoreset_mode='SAME_STEP'.")
     count = env.num_envs
-    waiting = deque(seeds)
+    waiting = deque(checked_seeds(seeds))
     seed_of: list[int | None] = [waiting.popleft() if waiting else None for _ in range(count)]
     # Rows without work run along.
     observation, _ = env.reset(seed=[0 if seed is None else seed for seed in seed_of])  # pyright: ignore[reportArgumentType]
@@ -122,9 +132,10 @@ def rollout(
     returns, steps, ended_count, step = np.zeros(count), np.zeros(count, np.int64), 0, 0
     terms: dict[str, np.ndarray] = {}
     while any(seed is not None for seed in seed_of):
-        actions, state = policy.predict(
-            observation, state=state, episode_start=episode_start, deterministic=deterministic
-        )
+        answer = policy.predict(observation, state=state, episode_start=episode_start, deterministic=deterministic)
+        if not isinstance(answer, tuple) or len(answer) != 2:
+            raise ConfigError(f"predict of the policy returned {shown(answer)}; expected a tuple (actions, state).")
+        actions, state = answer
         observation, rewards, terminated, truncated, infos = env.step(actions)
         ended = terminated | truncated
         returns += rewards
@@ -165,11 +176,37 @@ def _reseeded(policy: Policy, state: Any, seeds: Sequence[int | None]) -> Any:
     return state if reseed is None else reseed(state, seeds)
 
 
+def checked_seeds(seeds: Iterable[int]) -> list[int]:
+    """Return the seeds as a list.
+
+    Raises
+    ------
+    ConfigError
+        If they aren't different whole numbers of at least 0, or are none, or more than `EPISODES_MAX`.
+    """
+    if not isinstance(seeds, Iterable):
+        raise ConfigError(f"seeds is {shown(seeds)}; expected several whole numbers, such as range(10).")
+    checked = list(islice(seeds, EPISODES_MAX + 1))
+    if not checked:
+        raise ConfigError("there are no seeds, so there is nothing to evaluate; give at least one.")
+    if len(checked) > EPISODES_MAX:
+        raise ConfigError(f"there are more than {EPISODES_MAX:,} seeds, one an episode; give fewer.")
+    for seed in checked:
+        if not is_integer(seed) or seed < 0:
+            raise ConfigError(f"a seed is {shown(seed)}; expected a whole number of at least 0.")
+    if len(set(checked)) < len(checked):
+        raise ConfigError("a seed is there twice, and would count the same episode twice; give each once.")
+    return [int(seed) for seed in checked]
+
+
 def _map_names(env: VectorEnv) -> list[str]:
     """Return the name of every row's floor plan."""
     if isinstance(env.unwrapped, CyclicLoopVectorEnv):
         return [env.unwrapped.floor_plan(row).name for row in range(env.num_envs)]
-    return [plan.name for plan in env.unwrapped.get_attr("floor_plan")]  # pyright: ignore[reportAttributeAccessIssue]
+    try:
+        return [plan.name for plan in env.unwrapped.get_attr("floor_plan")]  # pyright: ignore[reportAttributeAccessIssue]
+    except AttributeError as error:
+        raise ConfigError(f"the env is {shown(env)}; expected one of CyclicLoop environments.") from error
 
 
 def _reward_terms(infos: Mapping[str, Any], ended: np.ndarray) -> dict[str, np.ndarray]:
@@ -196,28 +233,49 @@ class Evaluation:
     agent: str
     map: str
     noise: str
+    action_type: str
+    random_start: bool
     episodes: list[dict[str, Any]]
     """Records as `rollout` yields them, in the order of the seeds."""
     complete: bool = True
     """False if Ctrl-C cut it short."""
 
+    @property
+    def alike(self) -> bool:
+        """Whether there are several episodes that are one and the same, since the seeds change nothing in them."""
+        first, *others = [{**episode, "seed": None} for episode in self.episodes] or [{}]
+        return bool(others) and all(other == first for other in others)
+
     def summary(self) -> dict[str, dict[str, float]]:
         """Return the mean of every metric, and the 95 % interval of the mean, ``low`` to ``high``.
 
-        The interval is Student's, and Wilson's for ``is_success``; one episode alone has the widest, or none (NaN).
+        Precision and recall are those of all episodes taken together, so that an episode in which nothing was judged
+        counts neither way; NaN if there was nothing in any. The interval is Wilson's for ``is_success``, and Student's
+        for all others. Where there is none, it is NaN: with one episode or episodes that are all `alike`, and
+        Student's also where all values are the same, since they say nothing about how far others might be off.
         """
         summary: dict[str, dict[str, float]] = {}
+        alike = self.alike
         for metric in METRICS:
-            values = np.array([float(episode[metric]) for episode in self.episodes])
-            mean = float(values.mean()) if len(values) else math.nan
-            low, high = wilson_interval(values) if metric == "is_success" else mean_interval(values)
+            values = self._values(metric)
+            interval = wilson_interval if metric == "is_success" else mean_interval
+            low, high = (math.nan, math.nan) if alike else interval(values)
             least, most = BOUNDS.get(metric, (0.0, math.inf))
             low, high = max(low, least), min(high, most)  # a NaN stays
-            summary[metric] = {"mean": mean, "low": low, "high": high}
+            summary[metric] = {"mean": float(values.mean()) if len(values) else math.nan, "low": low, "high": high}
         return summary
 
+    def _values(self, metric: str) -> np.ndarray:
+        """Return one number for each episode, of which the metric is the mean."""
+        if metric == "precision":
+            recognised = self._values("revisits_recognised")
+            return pooled(recognised, recognised + self._values("false_claims"))
+        if metric == "recall":
+            return pooled(self._values("revisits_recognised"), self._values("revisits"))
+        return np.array([float(episode[metric]) for episode in self.episodes])
+
     def to_json(self) -> dict[str, Any]:
-        """Return everything as plain numbers, strings, lists and dicts; an interval that isn't there is None."""
+        """Return everything as plain numbers, strings, lists and dicts; what isn't there is None."""
         summary = {
             metric: {name: None if math.isnan(value) else value for name, value in entry.items()}
             for metric, entry in self.summary().items()
@@ -226,7 +284,10 @@ class Evaluation:
             "agent": self.agent,
             "map": self.map,
             "noise": self.noise,
+            "action_type": self.action_type,
+            "random_start": self.random_start,
             "complete": self.complete,
+            "alike": self.alike,
             "summary": summary,
             "episodes": self.episodes,
         }
@@ -254,10 +315,12 @@ def evaluate(
     agent : str
         What reports call it.
     seeds : iterable of int
+        Different ones. With noise ``"ideal"`` they change nothing for a policy that draws nothing, unless
+        ``random_start=True``.
     map_name, noise, settings
         As for `CyclicLoopEnv`.
     num_envs : int, optional
-        Episodes rolled out at once; by default up to `BATCH`.
+        Most episodes rolled out at once; by default `BATCH`.
     deterministic : bool
         Handed to the policy.
     progress : bool
@@ -266,20 +329,19 @@ def evaluate(
     Raises
     ------
     ConfigError, FloorPlanError
-        If the settings don't fit, or there is no seed.
+        If the policy, the seeds or the settings don't fit.
     """
-    seeds = list(seeds)
-    if not seeds:
-        raise ConfigError("there are no seeds, so there is nothing to evaluate; give at least one.")
+    seeds = checked_seeds(seeds)
+    num_envs = BATCH if num_envs is None else num_envs
     env = CyclicLoopVectorEnv(
-        min(len(seeds), BATCH) if num_envs is None else num_envs,
+        min(num_envs, len(seeds)) if is_integer(num_envs) else num_envs,
         map_name,
         noise=noise,
         autoreset_mode="SAME_STEP",
         **settings,
     )
-    map_label = ",".join(plan.name for plan in env.engine.config.plans)
-    noise_label = noise if isinstance(noise, str) else "custom"
+    config = env.engine.config
+    map_label = ",".join(plan.name for plan in config.plans)
     line = ProgressLine() if progress else None
 
     def show(done: int, steps: int) -> None:
@@ -299,13 +361,21 @@ def evaluate(
             line.clear()
     order = {seed: index for index, seed in enumerate(seeds)}
     records.sort(key=lambda record: order[record["seed"]])
-    return Evaluation(agent=agent, map=map_label, noise=noise_label, episodes=records, complete=complete)
+    return Evaluation(
+        agent=agent,
+        map=map_label,
+        noise=noise if isinstance(noise, str) else "custom",
+        action_type=config.action_type,
+        random_start=config.random_start,
+        episodes=records,
+        complete=complete,
+    )
 
 
 def mean_interval(values: np.ndarray) -> tuple[float, float]:
-    """Return Student's 95 % interval of the mean of `values` `(n,)`; NaN if there is only one."""
+    """Return Student's 95 % interval of the mean of `values` `(n,)`; NaN if they are all the same, or only one."""
     count = len(values)
-    if count < 2:
+    if count < 2 or np.allclose(values, values[0], rtol=1e-12, atol=1e-12):
         return math.nan, math.nan
     half = float(stdtrit(count - 1, 0.975) * values.std(ddof=1) / math.sqrt(count))
     return float(values.mean()) - half, float(values.mean()) + half
@@ -322,8 +392,20 @@ def wilson_interval(outcomes: np.ndarray) -> tuple[float, float]:
     return max(0.0, centre - half), min(1.0, centre + half)
 
 
+def pooled(parts: np.ndarray, wholes: np.ndarray) -> np.ndarray:
+    """Return `(n,)` values whose mean is the share of all parts in all wholes; NaN if the wholes are all 0.
+
+    Their spread is the share's own, to first order: it is the usual estimator of a ratio (Cochran 1977, Sampling
+    Techniques, 6.4).
+    """
+    if not wholes.any():
+        return np.full(len(wholes), math.nan)
+    share = parts.sum() / wholes.sum()
+    return share + (parts - share * wholes) / wholes.mean()
+
+
 def format_table(evaluations: Sequence[Evaluation], *, markdown: bool = False, without: Collection[str] = ()) -> str:
-    """Return a table with a line for each evaluation: means, and 95 % intervals where the episodes differ.
+    """Return a table with a line for each evaluation: means, and 95 % intervals where there are any.
 
     Parameters
     ----------
@@ -333,12 +415,14 @@ def format_table(evaluations: Sequence[Evaluation], *, markdown: bool = False, w
     without : collection of str
         Columns to leave out.
     """
-    header = ["agent", "map", "noise", "episodes", "cycles closed", "false claims", "return", "coverage"]
-    header += ["success", "precision", "recall", "collisions", "steps"]
+    header = ["agent", "map", "noise", "actions", "start", "episodes", "cycles closed", "false claims", "return"]
+    header += ["coverage", "success", "precision", "recall", "collisions", "steps"]
     lines = [header]
     for evaluation in evaluations:
-        count = str(len(evaluation.episodes)) + ("" if evaluation.complete else " (cut short)")
-        line = [evaluation.agent, evaluation.map, evaluation.noise, count]
+        count = str(len(evaluation.episodes)) + (" alike" if evaluation.alike else "")
+        count += "" if evaluation.complete else " (cut short)"
+        start = "random" if evaluation.random_start else "fixed"
+        line = [evaluation.agent, evaluation.map, evaluation.noise, evaluation.action_type, start, count]
         if evaluation.episodes:
             summary = evaluation.summary()
             line += [
@@ -354,7 +438,7 @@ def format_table(evaluations: Sequence[Evaluation], *, markdown: bool = False, w
             ]
         lines.append(line + ["-"] * (len(header) - len(line)))
     kept = [column for column, title in enumerate(header) if title not in without]
-    words = [header[column] in ("agent", "map", "noise") for column in kept]
+    words = [header[column] in ("agent", "map", "noise", "actions", "start") for column in kept]
     lines = [[line[column] for column in kept] for line in lines]
     widths = [max(map(len, cells)) for cells in zip(*lines, strict=True)]
     padded = [
@@ -371,14 +455,34 @@ def format_table(evaluations: Sequence[Evaluation], *, markdown: bool = False, w
 
 
 def _cell(entry: Mapping[str, float], digits: int) -> str:
+    if math.isnan(entry["mean"]):
+        return "-"
     mean = f"{entry['mean']:.{digits}f}"
-    if math.isnan(entry["low"]) or entry["high"] - entry["low"] < 0.5 * 10.0**-digits:
-        return mean
-    return f"{mean} [{entry['low']:.{digits}f}, {entry['high']:.{digits}f}]"
+    return mean if math.isnan(entry["low"]) else f"{mean} [{entry['low']:.{digits}f}, {entry['high']:.{digits}f}]"
+
+
+def table_notes(evaluations: Sequence[Evaluation]) -> list[str]:
+    """Return what a reader of their table must know, one line each."""
+    notes = []
+    if any(evaluation.alike for evaluation in evaluations):
+        notes.append(
+            "alike: seeds change nothing here, so the episodes are one and the same, and there is no interval; "
+            "random starts, or noise, make them differ."
+        )
+    if any(evaluation.action_type == "discrete" for evaluation in evaluations):
+        notes.append(
+            "discrete: the environment itself fills in the match of a claim, so only the detection is judged; "
+            "don't compare it with wheels or twist."
+        )
+    notes.append(
+        "[ ]: 95 % interval of the mean (Student's; of success, Wilson's); none where all values are the same. "
+        "Precision and recall: of all episodes together; -: nothing to judge."
+    )
+    return notes
 
 
 class ProgressLine:
-    """One line on stderr that is drawn over itself; nothing where stderr is no terminal.
+    """How far a long piece of work is, on stderr: a line drawn over itself, or without a terminal a line now and then.
 
     Parameters
     ----------
@@ -388,21 +492,28 @@ class ProgressLine:
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._stream = sys.stderr if stream is None else stream
-        self._on = self._stream.isatty()
-        self._drawn = -math.inf
+        self._terminal = self._stream.isatty()
+        self._every = REDRAW_S if self._terminal else REPORT_S
+        self._shown = -math.inf if self._terminal else time.monotonic()
         self._width = 0
 
     def show(self, text: str) -> None:
-        """Draw the text, unless one was drawn a moment ago."""
+        """Show the text, unless another was shown a moment ago."""
         now = time.monotonic()
-        if self._on and now - self._drawn >= REDRAW_S:
+        if now - self._shown < self._every:
+            return
+        self._shown = now
+        if self._terminal:
+            text = text[: shutil.get_terminal_size().columns - 1]  # a longer one would not be drawn over
             self._stream.write("\r" + text.ljust(self._width))
-            self._stream.flush()
-            self._drawn, self._width = now, len(text)
+            self._width = len(text)
+        else:
+            self._stream.write(text + "\n")
+        self._stream.flush()
 
     def clear(self) -> None:
-        """Wipe the line."""
-        if self._on and self._width:
+        """Wipe the line from the terminal."""
+        if self._width:
             self._stream.write("\r" + " " * self._width + "\r")
             self._stream.flush()
             self._width = 0

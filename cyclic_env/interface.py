@@ -1,15 +1,18 @@
-"""What both faces of the engine show: spaces, render modes, and the options of a reset."""
+"""What both faces of the engine share: spaces, render modes, the seeds and options of a reset, one thread at a time."""
 
 from __future__ import annotations
 
+import copy
+import threading
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
+from gymnasium.utils import seeding
 
-from cyclic_env.config import ActionType, LaserConfig
-from cyclic_env.errors import ConfigError, unknown_name
+from cyclic_env.config import ActionType, LaserConfig, checked_name, is_integer
+from cyclic_env.errors import ConfigError, UsageError, shown, unknown_name
 from cyclic_env.sensors import DISTANCE_MAX
 
 NUM_DRIVES = 5
@@ -43,9 +46,22 @@ def checked_render_mode(render_mode: str | None) -> str | None:
     ConfigError
         If it is unknown.
     """
-    if render_mode is not None and render_mode not in RENDER_MODES:
-        raise ConfigError(unknown_name("render mode", render_mode, RENDER_MODES))
-    return render_mode
+    return None if render_mode is None else checked_name("render mode", render_mode, RENDER_MODES)
+
+
+def checked_seed(seed: Any) -> int | None:
+    """Return the seed of a row.
+
+    Raises
+    ------
+    ConfigError
+        If it is neither None nor a whole number of at least 0.
+    """
+    if seed is None:
+        return None
+    if not is_integer(seed) or seed < 0:
+        raise ConfigError(f"seed is {shown(seed)}; expected a whole number of at least 0, or None.")
+    return int(seed)
 
 
 def start_option(options: dict[str, Any] | None, *known: str) -> Any:
@@ -62,3 +78,33 @@ def start_option(options: dict[str, Any] | None, *known: str) -> Any:
         if name not in ("start", *known):
             raise ConfigError(unknown_name("reset option", name, ("start", *known)))
     return (options or {}).get("start")
+
+
+def rehearsed(rng: np.random.Generator, seed: int | None) -> np.random.Generator:
+    """Return a generator that draws what `rng` will draw once it is seeded, if there is a seed."""
+    return copy.deepcopy(rng) if seed is None else seeding.np_random(seed)[0]
+
+
+class Turn:
+    """Lets one thread at a time into an environment, and refuses others at once; a copy of it is a turn of its own.
+
+    Raises
+    ------
+    UsageError
+        On entering, if another thread is inside.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.RLock()  # reentrant: a Ctrl-C between taking it and the `with` locks out no step to come
+
+    def __enter__(self) -> None:
+        if not self._lock.acquire(blocking=False):
+            raise UsageError(
+                "the environment is already being stepped by another thread; give each thread one of its own."
+            )
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+
+    def __reduce__(self) -> tuple[type[Turn], tuple[()]]:
+        return Turn, ()

@@ -25,13 +25,12 @@ from __future__ import annotations
 import math
 import mmap
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from cyclic_env.compiled import compiled, inlined
 from cyclic_env.config import ClosureConfig
-from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.floor_plans.wall_tiles import GRID, TILE_SIZE, WallTiles, build_wall_tiles, square_at
 
@@ -79,17 +78,19 @@ NO_CLAIM, NEAREST = -2, -1
 
 
 class ClosureMemory(NamedTuple):
-    """The paths of N robots in a pool of P plans, with at most C cycles each.
+    """The paths of N robots, of at most T steps each, in a pool of P plans with at most C cycles each.
+
+    A pickle holds the steps that were taken, and not the room for more.
 
     Attributes
     ----------
     status : (N,) STATUS
-    track : (N, T, 3) float64
-        x, y and path length of every step.
-    visits : (N, T) VISIT
+    track : (N, T + 1, 3) float64
+        x, y and path length of every step, the reset being step 0.
+    visits : (N, T + 1) VISIT
     cells : (N, cells, 2) int32
         First and last visit of each cell (-1: none).
-    marks : (N, T / VISIT_STEPS + 2, C) int64
+    marks : (N, T // VISIT_STEPS + 2, C) int64
         Signed crossings of each hole's cut, from the reset to step ``VISIT_STEPS * i``; the last one runs on.
     basis : (N, C, C) int64
         Winding vectors of the closed cycles, reduced, modulo `PRIME`.
@@ -117,6 +118,21 @@ class ClosureMemory(NamedTuple):
     anchors: np.ndarray
     cycles_total: np.ndarray
     sight: WallTiles
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        steps, visits, claims = (int(self.status[name].max()) for name in ("steps", "visits", "claims"))
+        used = {"track": steps + 1, "visits": visits, "marks": steps // VISIT_STEPS + 2, "claims": claims}
+        begun = self._replace(**{name: getattr(self, name)[:, :count] for name, count in used.items()})
+        return _with_room, (tuple(begun), {name: getattr(self, name).shape for name in used})
+
+
+def _with_room(begun: tuple[Any, ...], shapes: dict[str, tuple[int, ...]]) -> ClosureMemory:
+    """Return the memory of paths that have begun, with room again for the steps to come."""
+    memory = ClosureMemory(*begun)
+    room = {name: _lazy_array(shape, getattr(memory, name).dtype) for name, shape in shapes.items()}
+    for name, array in room.items():
+        array[:, : getattr(memory, name).shape[1]] = getattr(memory, name)
+    return memory._replace(**room)
 
 
 class Path(NamedTuple):
@@ -163,11 +179,6 @@ def allocate_memory(
     """Make room for the paths of `num_robots` robots of at most `max_steps` steps.
 
     Room for long episodes costs nothing in short ones: see `_lazy_array`.
-
-    Raises
-    ------
-    ConfigError
-        If there is not that much memory.
     """
     size = float(config.return_radius)
     grids = np.zeros(len(plans), GRID)
@@ -180,26 +191,20 @@ def allocate_memory(
     anchors = np.full((len(plans), most, 2), np.nan)
     for plan, anchor in zip(plans, anchors, strict=True):
         anchor[: plan.cycles_total] = plan.cycle_anchors
-    try:
-        return ClosureMemory(
-            status=np.zeros(num_robots, STATUS),
-            track=_lazy_array((num_robots, max_steps + 1, 3), np.dtype(np.float64)),
-            visits=_lazy_array((num_robots, max_steps + 1), VISIT),
-            cells=np.empty((num_robots, int((grids["columns"] * grids["rows"]).max()), 2), np.int32),
-            marks=np.empty((num_robots, max_steps // VISIT_STEPS + 2, most), np.int64),
-            basis=np.empty((num_robots, most, most), np.int64),
-            claims=_lazy_array((num_robots, max_steps), CLAIM),
-            grids=grids,
-            cell_size=size,
-            anchors=anchors,
-            cycles_total=cycles_total,
-            sight=build_wall_tiles(plans, config.return_radius),
-        )
-    except (MemoryError, OSError, ValueError, OverflowError) as error:
-        raise ConfigError(
-            f"there is not enough memory for the paths of {num_robots} robots over {max_steps} steps; "
-            "lower num_envs or step_budget."
-        ) from error
+    return ClosureMemory(
+        status=np.zeros(num_robots, STATUS),
+        track=_lazy_array((num_robots, max_steps + 1, 3), np.dtype(np.float64)),
+        visits=_lazy_array((num_robots, max_steps + 1), VISIT),
+        cells=np.empty((num_robots, int((grids["columns"] * grids["rows"]).max()), 2), np.int32),
+        marks=_lazy_array((num_robots, max_steps // VISIT_STEPS + 2, most), np.dtype(np.int64)),
+        basis=np.empty((num_robots, most, most), np.int64),
+        claims=_lazy_array((num_robots, max_steps), CLAIM),
+        grids=grids,
+        cell_size=size,
+        anchors=anchors,
+        cycles_total=cycles_total,
+        sight=build_wall_tiles(plans, config.return_radius),
+    )
 
 
 def _lazy_array(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
@@ -208,7 +213,7 @@ def _lazy_array(shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
     NumPy asks for huge pages for large arrays, so that the first step of every row would take all of the memory.
     """
     size = math.prod(shape) * dtype.itemsize
-    if not hasattr(mmap, "MADV_NOHUGEPAGE"):
+    if size == 0 or not hasattr(mmap, "MADV_NOHUGEPAGE"):
         return np.zeros(shape, dtype)
     pages = mmap.mmap(-1, size, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
     pages.madvise(mmap.MADV_NOHUGEPAGE)
@@ -389,10 +394,8 @@ def find_return(path, ground, rules, nearest):
     columns, rows = ground.grid.columns, ground.grid.rows
     column, line = status.cell % columns, status.cell // columns
     best, best_square = -1, rules.return_radius * rules.return_radius
-    last, last_known = (
-        status.gap_step,
-        False,
-    )  # last step long enough ago; and before the robot was away, when first needed
+    last = status.gap_step  # the last step long enough ago
+    last_known = False  # whether it is also before the robot was away, which is found out when first needed
     for cell_line in range(max(line - 1, 0), min(line + 2, rows)):
         for cell_column in range(max(column - 1, 0), min(column + 2, columns)):
             visit = path.cells[cell_line * columns + cell_column, 0]

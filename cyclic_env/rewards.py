@@ -43,6 +43,7 @@ def reward_row(weights, newly_seen, new_cycle, false_claims, missed, contact, te
     terms[4] = weights[4] * contact
     terms[5] = weights[5]
     total = 0.0
-    for term in terms:
-        total += term
+    for i in range(terms.shape[0]):
+        terms[i] += 0.0  # makes 0.0 of -0.0
+        total += terms[i]
     return total

@@ -168,8 +168,7 @@ def _free_place(plan: FloorPlan, view: View, room: pygame.Rect) -> pygame.Rect |
     side = INSET_SIZE / view.scale
     wests, norths = view.west + (columns - view.left) / view.scale, view.north - (rows - view.top) / view.scale
     boxes = shapely.box(wests - pad, norths - side - pad, wests + side + pad, norths + pad)
-    shapely.prepare(plan.free_space)
-    free = ~shapely.intersects(plan.free_space, boxes)
+    free = ~shapely.intersects(plan.prepared_space(), boxes)
     if not free.any():
         return None
     off_x, off_y = np.minimum(columns - left, right - columns), np.minimum(rows - top, bottom - rows)

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from cyclic_env.config import is_integer
-from cyclic_env.engine import INFO, Engine, engine_config
-from cyclic_env.errors import ConfigError, FloorPlanError, UsageError, unknown_name
+from cyclic_env.config import checked_name, is_integer, real_array
+from cyclic_env.engine import INFO, NUM_ROBOTS_MAX, Engine, Settings, engine_config
+from cyclic_env.errors import ConfigError, FloorPlanError, UsageError, shown
 from cyclic_env.floor_plans import FloorPlan, MapName
 from cyclic_env.interface import (
     RENDER_FPS,
     RENDER_MODES,
+    Turn,
     action_space,
     checked_render_mode,
+    checked_seed,
     observation_space,
+    rehearsed,
     start_option,
 )
 from cyclic_env.rewards import REWARD_TERMS
@@ -55,14 +58,14 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
         render_mode: str | None = None,
-        **settings: Any,
+        **settings: Unpack[Settings],
     ) -> None:
-        if not is_integer(num_envs) or num_envs < 1:
-            raise ConfigError(f"num_envs is {num_envs!r}; expected a whole number of at least 1.")
+        if not is_integer(num_envs) or not 1 <= num_envs <= NUM_ROBOTS_MAX:
+            raise ConfigError(f"num_envs is {shown(num_envs)}; expected a whole number from 1 to {NUM_ROBOTS_MAX}.")
         num_envs = int(num_envs)
         if max_episode_steps is not None and (not is_integer(max_episode_steps) or max_episode_steps < 1):
             raise ConfigError(
-                f"max_episode_steps is {max_episode_steps!r}; expected a whole number of at least 1, or None."
+                f"max_episode_steps is {shown(max_episode_steps)}; expected a whole number of at least 1, or None."
             )
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
@@ -76,9 +79,9 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         self.max_episode_steps = max_episode_steps
         self._rngs: list[np.random.Generator] = []
         self._seeds: list[int] = []
-        self._placed = np.zeros(num_envs, np.bool_)
         self._ended = np.zeros(num_envs, np.bool_)
         self._all = np.ones(num_envs, np.bool_)
+        self._turn = Turn()
         self._renderers: list[Any] = []
 
     @property
@@ -101,51 +104,50 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         Raises
         ------
         ConfigError, FloorPlanError
-            If the seeds, the mask or the starts don't fit.
+            If the seeds, the mask or the starts don't fit; the running episodes go on.
         """
-        start = start_option(options, "reset_mask")
-        mask = self._mask(None if options is None else options.get("reset_mask"))
-        starts = self._starts(start)
-        seeds = self._row_seeds(seed)
-        if starts is not None and len(self.engine.config.plans) == 1:  # refuse before any row begins anew
-            for row in np.flatnonzero(mask):
-                self.engine.checked_start(0, starts[row])
-        self._seed(seeds, mask)
-        self._reset_rows(np.flatnonzero(mask), starts)
-        self._placed |= mask
-        return self.engine.observation(), self._infos(mask)
+        with self._turn:
+            start = start_option(options, "reset_mask")
+            mask = self._mask(None if options is None else options.get("reset_mask"))
+            rows = np.flatnonzero(mask)
+            starts = self._starts(start)
+            seeds = self._row_seeds(seed)
+            if starts is not None:  # refuse before anything changes
+                rngs = self.np_random
+                for row in rows.tolist():
+                    self.engine.draw_place(rehearsed(rngs[row], seeds[row]), starts[row])
+            self._seed(seeds, mask)
+            self._reset_rows(rows, starts)
+            return self.engine.observation(), self._infos(mask)
 
     def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step every row, and reset those that the autoreset mode says."""
-        if not self._placed.all():
-            raise UsageError("step() needs a running episode in every row: call reset() first.")
-        ended = self._ended.copy()
-        if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
-            rows = np.flatnonzero(ended).tolist()
-            raise UsageError(
-                f"the episodes of rows {rows} have ended: reset them with options={{'reset_mask': mask}} first."
+        with self._turn:
+            ended = self._ended.copy()
+            if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
+                rows = shown(np.flatnonzero(ended).tolist())
+                raise UsageError(
+                    f"the episodes of rows {rows} have ended: reset them with options={{'reset_mask': mask}} first."
+                )
+            self.engine.step(actions, self._rngs, skip=ended if ended.any() else None)
+            outcome = self.engine.outcome
+            rewards, terminated, truncated = (
+                outcome["reward"].copy(),
+                outcome["terminated"].copy(),
+                outcome["truncated"].copy(),
             )
-        self.engine.step(actions, self._rngs, skip=ended)
-        outcome = self.engine.outcome
-        rewards, terminated, truncated = (
-            outcome["reward"].copy(),
-            outcome["terminated"].copy(),
-            outcome["truncated"].copy(),
-        )
-        if self.max_episode_steps is not None:
-            truncated |= self.engine.episodes.memory.status["steps"] >= self.max_episode_steps
-        if ended.any():  # only with NEXT_STEP
-            self._reset_rows(np.flatnonzero(ended))
-            rewards[ended], terminated[ended], truncated[ended] = 0.0, False, False
-        ended = terminated | truncated
-        infos: dict[str, Any] = {}
-        if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
-            infos = {"final_obs": self._final_observation(ended), "final_info": self._infos(ended)}
-            infos.update(_final_obs=ended.copy(), _final_info=ended.copy())
-            self._reset_rows(np.flatnonzero(ended))
-        else:
-            self._ended = ended
-        return self.engine.observation(), rewards, terminated, truncated, infos | self._infos(self._all)
+            if self.max_episode_steps is not None:
+                truncated |= self.engine.episodes.memory.status["steps"] >= self.max_episode_steps
+            if ended.any():  # only with NEXT_STEP
+                self._reset_rows(np.flatnonzero(ended))
+                rewards[ended], terminated[ended], truncated[ended] = 0.0, False, False
+            ended = self._ended = terminated | truncated
+            infos: dict[str, Any] = {}
+            if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
+                infos = {"final_obs": self._final_observation(ended), "final_info": self._infos(ended)}
+                infos.update(_final_obs=ended.copy(), _final_info=ended.copy())
+                self._reset_rows(np.flatnonzero(ended))
+            return self.engine.observation(), rewards, terminated, truncated, infos | self._infos(self._all)
 
     def _reset_rows(self, rows: np.ndarray, starts: np.ndarray | None = None) -> None:
         for row in rows:
@@ -189,15 +191,16 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
                 self._rngs[row], self._seeds[row] = seeding.np_random(seed)
 
     def _row_seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
-        if seed is None:
-            return [None] * self.num_envs
-        if isinstance(seed, int | np.integer):
-            return [int(seed) + row for row in range(self.num_envs)]
-        if not isinstance(seed, Sequence | np.ndarray) or isinstance(seed, str):
-            raise ConfigError(f"seed is {seed!r}; expected a whole number, one a row, or None.")
-        if len(seed) != self.num_envs:
-            raise ConfigError(f"{len(seed)} seeds were given for {self.num_envs} rows; give one seed, or one a row.")
-        return seed
+        if isinstance(seed, np.ndarray):
+            seed = seed.tolist()
+        if isinstance(seed, Sequence) and not isinstance(seed, str | bytes):
+            if len(seed) != self.num_envs:
+                raise ConfigError(
+                    f"{len(seed)} seeds were given for {self.num_envs} rows; give one seed, or one a row."
+                )
+            return [checked_seed(value) for value in seed]
+        first = checked_seed(seed)
+        return [None if first is None else first + row for row in range(self.num_envs)]
 
     def _mask(self, mask: Any) -> np.ndarray:
         if mask is None:
@@ -216,12 +219,10 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
     def _starts(self, start: Any) -> np.ndarray | None:
         if start is None:
             return None
-        try:
-            starts = np.asarray(start, np.float64)
-        except (TypeError, ValueError):
-            starts = np.empty(0)
+        expected = f"(x, y, heading), or {self.num_envs} rows of these"
+        starts = real_array(start, "start", expected, FloorPlanError)
         if starts.shape not in ((3,), (self.num_envs, 3)):
-            raise FloorPlanError(f"start is {start!r}; expected (x, y, heading), or {self.num_envs} rows of these.")
+            raise FloorPlanError(f"start is {shown(start)}; expected {expected}.")
         return np.broadcast_to(starts, (self.num_envs, 3))
 
     def floor_plan(self, row: int) -> FloorPlan:
@@ -240,8 +241,8 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         """Return a picture of every row, `(height, width, 3)` uint8 each; with ``"human"``, show row 0 in a window."""
         if self.render_mode is None:
             return None
-        if not self._placed.all():
-            raise UsageError("render() needs an episode in every row: call reset() first.")
+        for row in range(self.num_envs):
+            self.engine.check_placed(row)
         if not self._renderers:
             from cyclic_env.rendering import Renderer
 
@@ -251,19 +252,19 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the window and end the threads."""
-        for renderer in self._renderers:
-            renderer.close()
-        self._renderers = []
-        self.engine.close()
+        with self._turn:
+            for renderer in self._renderers:
+                renderer.close()
+            self._renderers = []
+            self.engine.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_renderers": []}
+        with self._turn:
+            return {**self.__dict__, "_renderers": []}
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
     if isinstance(mode, AutoresetMode):
         return mode
     by_name = {name: member for member in AutoresetMode for name in (member.name, member.value)}
-    if mode not in by_name:
-        raise ConfigError(unknown_name("autoreset mode", mode, by_name))
-    return by_name[mode]
+    return by_name[checked_name("autoreset mode", mode, by_name)]

@@ -1,4 +1,4 @@
-"""Measure the speed of the environment: one table, all ratios from one run.
+"""Measure the speed of the environment: one table, all ratios from one run, with a verdict where there is a target.
 
     python scripts/benchmark.py [--json FILE] [--quick] [--walls]
 
@@ -7,39 +7,80 @@ Every rate is the best of five, since other work on a machine only ever slows it
 
 from __future__ import annotations
 
+import os
+import signal
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # agents are not installed, but run from the checkout
+if __name__ == "__main__":  # Ctrl-C while the packages load
+    signal.signal(signal.SIGINT, lambda *_: (print("\nbenchmark.py: nothing done yet", file=sys.stderr), os._exit(130)))
+
 import argparse
 import json
 import math
-import os
 import platform
-import resource
 import subprocess
-import sys
+import tempfile
 import time
-from collections.abc import Callable, Iterator
-from pathlib import Path
-from typing import Any
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, NamedTuple
+from unittest import mock
 
 import gymnasium
 import numpy as np
 import pymunk
 import shapely
+from numba import njit
 from shapely.affinity import scale
 
 import cyclic_env
-from cyclic_env import CyclicLoopVectorEnv, FloorPlan, load_floor_plan, map_names
-from cyclic_env.compiled import compiled
+from agents.comparison import require_learning
+from cyclic_env import ConfigError, CyclicLoopVectorEnv, FloorPlan, load_floor_plan, map_names
 from cyclic_env.config import LaserConfig, RobotConfig
-from cyclic_env.engine import Engine, engine_config, step_rows
+from cyclic_env.engine import step_rows
 from cyclic_env.floor_plans.wall_tiles import build_wall_tiles
 from cyclic_env.laser import beam_directions, scan, scan_row
 from cyclic_env.simulation import Simulation
 
+ROOT = Path(__file__).resolve().parents[1]
 REPEATS = 5
-Row = tuple[str, str, float, str]
 
 
-@compiled
+class Row(NamedTuple):
+    """One measurement, and what it should be: at least or at most so much."""
+
+    what: str
+    name: str
+    value: float
+    unit: str
+    least: float = -math.inf
+    most: float = math.inf
+
+    @property
+    def shown(self) -> str:
+        """The value for the table."""
+        if math.isnan(self.value):
+            return "-"
+        return f"{self.value:,.0f}" if abs(self.value) >= 1000 else f"{self.value:.3g}"
+
+    @property
+    def target(self) -> str:
+        """What the value should be, or nothing."""
+        if self.least > -math.inf:
+            return f"at least {self.least:,g}"
+        return f"at most {self.most:,g}" if self.most < math.inf else ""
+
+    @property
+    def verdict(self) -> str:
+        """Whether it is."""
+        if not self.target:
+            return ""
+        return "ok" if self.least <= self.value <= self.most else "MISSED"
+
+
+@njit(error_model="numpy")  # not cached: numba can't find a script's functions when it runs under another name
 def scan_all(tiles, poses, directions, range_max, scratch, ranges):
     """Scan from every pose, without the cost of a call from Python for each."""
     for i in range(poses.shape[0]):
@@ -69,7 +110,7 @@ def free_poses(plan: FloorPlan, count: int) -> np.ndarray:
 
 def measure_machine() -> Iterator[Row]:
     """Time plain Python, by which rates of different machines, or of a busy hour, can be compared."""
-    yield "machine", "10^7 additions in a Python loop", best_time(lambda: sum(i for i in range(10**7))), "s"
+    yield Row("machine", "10^7 additions in a Python loop", best_time(lambda: sum(i for i in range(10**7))), "s")
 
 
 def measure_laser() -> Iterator[Row]:
@@ -94,10 +135,10 @@ def measure_laser() -> Iterator[Row]:
                 space.segment_query_first((x, y), end, 0, ALL_SHAPES)
 
     queries = best_time(query) / 50
-    yield "laser", "z-buffer, one scan", compiled_scan * 1e6, "us"
-    yield "laser", "NumPy twin / z-buffer", twin / compiled_scan, "x"
-    yield "laser", "180 pymunk queries / z-buffer (at least 60)", queries / compiled_scan, "x"
-    yield "laser", "largest difference from the twin", worst, "m"
+    yield Row("laser", "z-buffer, one scan", compiled_scan * 1e6, "us")
+    yield Row("laser", "NumPy twin / z-buffer", twin / compiled_scan, "x")
+    yield Row("laser", "180 pymunk queries / z-buffer", queries / compiled_scan, "x", least=60)
+    yield Row("laser", "largest difference from the twin", worst, "m")
 
 
 ALL_SHAPES = pymunk.ShapeFilter()
@@ -140,7 +181,7 @@ def measure_single_env() -> Iterator[Row]:
         for i in range(1000):
             env.step(actions[i % 50])
 
-    yield "one env", "gymnasium.make (at least 10,000)", 1000 / best_time(run), "steps/s"
+    yield Row("one env", "gymnasium.make", 1000 / best_time(run), "steps/s", least=10_000)
 
 
 def measure_vector_env(quick: bool) -> Iterator[Row]:
@@ -151,16 +192,17 @@ def measure_vector_env(quick: bool) -> Iterator[Row]:
         steps = max(20, 50_000 // num_envs // (4 if quick else 1))
         rate = rate_of(env, random_actions(num_envs), min(steps, 3000))
         base = base or rate
-        aim = " (at least 150,000)" if num_envs == 256 else ""
-        yield "vector env", f"N = {num_envs}, random actions{aim}", rate, "robot-steps/s"
+        least = 150_000 if num_envs == 256 else -math.inf
+        yield Row("vector env", f"N = {num_envs}, random actions", rate, "robot-steps/s", least=least)
         if num_envs > 1:
-            yield "vector env", f"N = {num_envs}, all cores, against N = 1", rate / base, "x"
+            yield Row("vector env", f"N = {num_envs}, all cores, against N = 1", rate / base, "x")
         env.close()
     env = gymnasium.make_vec("CyclicLoop-v0", num_envs=256, map_name="killian_court")
-    yield "vector env", "N = 256, driving", rate_of(env, driving_actions(256), 200), "robot-steps/s"
+    yield Row("vector env", "N = 256, driving", rate_of(env, driving_actions(256), 200), "robot-steps/s")
     for noise in ("calibrated", "typical"):
         env = gymnasium.make_vec("CyclicLoop-v0", num_envs=256, map_name="killian_court", noise=noise)
-        yield "vector env", f"N = 256, random actions, {noise}", rate_of(env, random_actions(256), 100), "robot-steps/s"
+        rate = rate_of(env, random_actions(256), 100)
+        yield Row("vector env", f"N = 256, random actions, {noise}", rate, "robot-steps/s")
 
 
 def sixteen_plans() -> list[FloorPlan]:
@@ -176,46 +218,70 @@ def sixteen_plans() -> list[FloorPlan]:
 def measure_pool() -> Iterator[Row]:
     """Step 256 robots in a pool of 16 plans."""
     env = CyclicLoopVectorEnv(256, sixteen_plans())
-    yield "pool", "16 plans, N = 256 (at least 50,000)", rate_of(env, random_actions(256), 100), "robot-steps/s"
+    rate = rate_of(env, random_actions(256), 100)
+    yield Row("pool", "16 plans, N = 256", rate, "robot-steps/s", least=50_000)
 
 
 def measure_phases() -> Iterator[Row]:
-    """Time the phases of a step at N = 256, on one core, as shares of their sum."""
-    engine, rows = Engine(engine_config(map_name="killian_court"), 256), np.arange(256)
-    rngs = [np.random.default_rng(i) for i in rows]
-    for row in rows:
-        engine.reset_row(int(row), rngs[row])
-    for actions in random_actions(256):
-        engine.step(actions, rngs)
-    actions, simulation, episodes = random_actions(256)[0], engine.simulation, engine.episodes
+    """Time the phases of a step at N = 256 on one core; the rest of it is the Python between them."""
+    with mock.patch("cyclic_env.engine.num_cores", return_value=1):
+        env = CyclicLoopVectorEnv(256, "killian_court")
+        rate_of(env, driving_actions(256), 50)
+    engine, spent = env.engine, defaultdict(float)
+
+    def timed(phase: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def timed_function(*arguments: Any) -> Any:
+            begin = time.perf_counter()
+            result = function(*arguments)
+            spent[phase] += time.perf_counter() - begin
+            return result
+
+        return timed_function
+
+    runs, actions = [], driving_actions(256)
+    with (
+        mock.patch.object(engine, "_take_actions", timed("actions", engine._take_actions)),
+        mock.patch.object(engine.simulation, "drive_world", timed("drive (pymunk)", engine.simulation.drive_world)),
+        mock.patch("cyclic_env.engine.step_rows", timed(JUDGE, step_rows)),
+        mock.patch.object(engine, "measure", timed("sensors", engine.measure)),
+        mock.patch.object(engine, "observation", timed("observation", engine.observation)),
+    ):
+        for _ in range(REPEATS):
+            spent.clear()
+            begin = time.perf_counter()
+            for action in actions:
+                env.step(action)
+            runs.append((time.perf_counter() - begin, dict(spent)))
+    total, phases = min(runs, key=lambda run: run[0])
     poses = np.column_stack([engine.info["x"], engine.info["y"], engine.info["heading"]])
-    directions, scratch = engine.buildings.directions, np.empty(360)
-    commands, claims = np.full((256, 2), 0.5), np.full(256, -2)
-    times = {
-        "actions": best_time(lambda: engine._take_actions(actions), 50),
-        "drive (pymunk)": best_time(lambda: [simulation.drive_world(w, commands) for w in simulation.worlds], 50),
-        "laser": best_time(
-            lambda: scan_all(engine.buildings.tiles, poses, directions, 12.0, scratch, episodes.true_ranges), 50
-        ),
-        "mark, judge, reward, info": best_time(lambda: step_rows(engine.buildings, episodes, rows, claims), 50),
-        "sensors": best_time(lambda: engine.measure(rows, rngs), 50),
-        "observation": best_time(engine.observation, 50),
-    }
-    times["mark, judge, reward, info"] -= times["laser"]
-    total = sum(times.values())
-    for phase, seconds in times.items():
-        yield "phases", f"{phase}: {seconds / 256 * 1e6:.2f} us a robot", 100 * seconds / total, "%"
+    ranges = np.empty_like(engine.episodes.true_ranges)
+    buildings, scratch = engine.buildings, np.empty(2 * ranges.shape[1])
+    scans = best_time(
+        lambda: scan_all(buildings.tiles, poses, buildings.directions, buildings.range_max, scratch, ranges), 50
+    )
+    phases["laser"] = scans * len(actions)
+    phases[JUDGE] -= phases["laser"]
+    phases["rest"] = total - sum(phases.values())
+    for phase, seconds in [*phases.items(), ("together", total)]:
+        yield Row("a step", f"one core, N = 256: {phase}", seconds / len(actions) / 256 * 1e6, "us a robot")
+
+
+JUDGE = "mark, judge, reward, info"
+"""The phase of a step that compiled code does for every row; the laser is within it."""
 
 
 def measure_stable_baselines() -> Iterator[Row]:
     """Collect steps through the Stable-Baselines3 VecEnv, without and with a policy."""
     try:
-        import torch
-        from stable_baselines3 import PPO
-
-        from agents.sb3 import CyclicLoopVecEnv
-    except ImportError:
+        require_learning()
+    except ConfigError as error:
+        yield Row("SB3", f"not measured: {error}", math.nan, "")
         return
+    import torch
+    from stable_baselines3 import PPO
+
+    from agents.sb3 import CyclicLoopVecEnv
+
     torch.set_num_threads(1)
     native = CyclicLoopVectorEnv(64, "killian_court", autoreset_mode="SAME_STEP")
     base = rate_of(native, random_actions(64), 200)
@@ -224,45 +290,54 @@ def measure_stable_baselines() -> Iterator[Row]:
     env.reset()
     actions = random_actions(64)
     seconds = best_time(lambda: [env.step(actions[i % 50]) for i in range(200)]) / 200
-    yield "SB3", "VecEnv, N = 64", 64 / seconds, "robot-steps/s"
-    yield "SB3", "VecEnv / native vector env", 64 / seconds / base, "x"
+    yield Row("SB3", "VecEnv, N = 64", 64 / seconds, "robot-steps/s")
+    yield Row("SB3", "VecEnv / native vector env", 64 / seconds / base, "x")
     model = PPO("MultiInputPolicy", env, n_steps=32, batch_size=512, n_epochs=1, device="cpu")
     begin = time.perf_counter()
     model.learn(64 * 32 * 4)
-    yield "SB3", "PPO, collecting and learning, N = 64", 64 * 32 * 4 / (time.perf_counter() - begin), "robot-steps/s"
+    rate = 64 * 32 * 4 / (time.perf_counter() - begin)
+    yield Row("SB3", "PPO, collecting and learning, N = 64", rate, "robot-steps/s")
 
 
-def measure_memory() -> Iterator[Row]:
+def run_python(code: str, **environment: str) -> float:
+    """Run a program in a process of its own, and return the number that it prints last."""
+    result = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+        env={**os.environ, **environment},
+    )
+    return float(result.stdout.split()[-1])
+
+
+def measure_memory(steps: int) -> Iterator[Row]:
     """Step 1,024 robots in a process of its own and see what it took at most."""
-    code = (
+    peak = run_python(
         "import resource, numpy, gymnasium, cyclic_env\n"
         "env = gymnasium.make_vec('CyclicLoop-v0', num_envs=1024, map_name='killian_court'); env.reset(seed=0)\n"
-        "for i in range(200): env.step(numpy.tile(numpy.float32([1, .9, -1, 0]), (1024, 1)))\n"
+        f"for i in range({steps}): env.step(numpy.tile(numpy.float32([1, .9, -1, 0]), (1024, 1)))\n"
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
-    result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    yield "memory", "1,024 rows after 200 steps", int(result.stdout.split()[-1]) / 1e6, "GB"
+    yield Row("memory", f"1,024 rows after {steps} steps", peak / 1e6, "GB", most=2)
     memory = CyclicLoopVectorEnv(1024, "killian_court").engine.episodes.memory
-    room = sum(array.nbytes for array in memory[:7])
-    yield "memory", "1,024 rows, their paths at the end of the longest episodes, at most", room / 1e9, "GB"
+    room = sum(array.nbytes for array in memory if isinstance(array, np.ndarray))
+    yield Row("memory", "1,024 rows, their paths at the end of the longest episodes, at most", room / 1e9, "GB")
 
 
 def measure_start_up() -> Iterator[Row]:
     """Import the package, and compile its kernels without a cache, each in a process of its own."""
     begin = time.perf_counter()
-    subprocess.run([sys.executable, "-c", "import cyclic_env"], check=True, cwd=ROOT)
-    yield "start-up", "python -c 'import cyclic_env' (at most 1)", time.perf_counter() - begin, "s"
+    run_python("import cyclic_env; print(0)")
+    yield Row("start-up", "python -c 'import cyclic_env'", time.perf_counter() - begin, "s", most=1)
     code = (
         "import time, numpy, cyclic_env; from cyclic_env.env import CyclicLoopEnv; env = CyclicLoopEnv('ring')\n"
         "begin = time.perf_counter(); env.reset(seed=0); env.step(numpy.zeros(4)); print(time.perf_counter() - begin)"
     )
-    cache = Path(os.environ.get("TMPDIR", "/tmp")) / f"cyclic_env_benchmark_{os.getpid()}"
-    for what in ("first compile (at most 30)", "compiled code from the cache"):
-        environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
-        result = subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT, env=environment
-        )
-        yield "start-up", what, float(result.stdout.split()[-1]), "s"
+    with tempfile.TemporaryDirectory(prefix="cyclic_env_benchmark_") as cache:
+        yield Row("start-up", "first compile", run_python(code, NUMBA_CACHE_DIR=cache), "s", most=30)
+        yield Row("start-up", "compiled code from the cache", run_python(code, NUMBA_CACHE_DIR=cache), "s")
 
 
 def measure_walls(steps: int) -> Iterator[Row]:
@@ -289,48 +364,68 @@ def measure_walls(steps: int) -> Iterator[Row]:
             if not shapely.contains_xy(plan.free_space, x, y).all():
                 raise SystemExit(f"{name}: a robot left free space")
             clearance = min(clearance, float(shapely.distance(shapely.points(x, y), boundary).min()))
-        yield "walls", f"{name}: least clearance, {contacts} contacts (at least 0.19)", clearance, "m"
+        yield Row("walls", f"{name}: least clearance, {contacts} contacts", clearance, "m", least=0.19)
 
 
-ROOT = Path(__file__).resolve().parents[1]
-
-
-def main() -> None:
-    """Run the measurements and print them as they come."""
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the measurements and print them as they come; return the exit code: 0, or 130 after Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results there as well")
-    parser.add_argument("--quick", action="store_true", help="fewer steps, up to 256 rows")
+    parser.add_argument("--quick", action="store_true", help="fewer steps")
     parser.add_argument("--walls", action="store_true", help="only drive 10^6 steps into walls on every plan")
-    arguments = parser.parse_args()
-    if arguments.json and not arguments.json.resolve().parent.is_dir():
-        parser.error(f"--json: there is no folder {arguments.json.resolve().parent}")
-    sys.path.insert(0, str(ROOT))
+    args = parser.parse_args(arguments)
+    if args.json:
+        try:
+            args.json.open("a").close()
+        except OSError as error:
+            parser.error(f"--json: can't write to {args.json}: {error.strerror}")
     measurements: list[Callable[[], Iterator[Row]]] = [
         measure_machine,
         measure_laser,
         measure_single_env,
-        lambda: measure_vector_env(arguments.quick),
+        lambda: measure_vector_env(args.quick),
         measure_pool,
         measure_phases,
         measure_stable_baselines,
-        measure_memory,
+        lambda: measure_memory(20 if args.quick else 200),
         measure_start_up,
     ]
-    if arguments.walls:
+    if args.walls:
         measurements = [lambda: measure_walls(1_000_000)]
     versions = f"cyclic_env {cyclic_env.__version__}, Python {platform.python_version()}, pymunk {pymunk.version}"
-    print(f"{versions}, {os.cpu_count()} cores\n\n| what | measurement | value | unit |\n|---|---|---:|---|")
-    rows = []
-    for measurement in measurements:
-        for what, name, value, unit in measurement():
-            shown = f"{value:,.0f}" if abs(value) >= 1000 else f"{value:.3g}"
-            print(f"| {what} | {name} | {shown} | {unit} |", flush=True)
-            rows.append({"what": what, "measurement": name, "value": value, "unit": unit})
-    if arguments.json:
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-        text = json.dumps({"versions": versions, "peak_rss_kb": peak, "results": rows}, indent=1)
-        arguments.json.write_text(text + "\n", encoding="utf-8")
+    print(f"{versions}, {os.cpu_count()} cores\n")
+    print("| what | measurement | value | unit | target | |\n|---|---|---:|---|---|---|")
+    rows: list[Row] = []
+    code = 0
+    try:
+        for measurement in measurements:
+            for row in measurement():
+                rows.append(row)
+                print(
+                    f"| {row.what} | {row.name} | {row.shown} | {row.unit} | {row.target} | {row.verdict} |", flush=True
+                )
+    except KeyboardInterrupt:
+        code = 130
+    if args.json:
+        results = [
+            {
+                "what": row.what,
+                "measurement": row.name,
+                "value": None if math.isnan(row.value) else row.value,
+                "unit": row.unit,
+                "target": row.target,
+                "verdict": row.verdict,
+            }
+            for row in rows
+        ]
+        text = json.dumps({"versions": versions, "complete": not code, "results": results}, indent=1)
+        args.json.write_text(text + "\n", encoding="utf-8")
+    if code:
+        kept = f" and in {args.json}" if args.json else ""
+        print(f"benchmark.py: stopped; the {len(rows)} rows measured so far are above{kept}.", file=sys.stderr)
+    return code
 
 
 if __name__ == "__main__":
-    main()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.exit(main())

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-import argparse
+import os
+import signal
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # agents are not installed, but run from the checkout
+if __name__ == "__main__":  # Ctrl-C while the packages load
+    signal.signal(signal.SIGINT, lambda *_: (print("\ndemo.py: nothing done yet", file=sys.stderr), os._exit(130)))
+
+import argparse
+from collections.abc import Sequence
 
 import matplotlib.pyplot as plt
 
@@ -20,7 +25,7 @@ SCORES = ("cycles_closed", "cycles_total", "false_claims", "revisits_recognised"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, or 2 for bad input."""
+    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--agent", default="circling", help=f"{', '.join(agent_names())} (default circling)")
     parser.add_argument("--map", default="killian_court", help=f"{', '.join(map_names())}, or a file")
@@ -39,6 +44,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except (CyclicLoopError, OSError) as error:
         print(f"demo.py: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("\ndemo.py: stopped before the end, so nothing is written; --steps makes a shorter run.", file=sys.stderr)
+        return 130
     print(f"{args.agent} on {args.map}: return {total:.1f}; picture in {picture}")
     return 0
 
@@ -61,4 +69,5 @@ def drive(env: CyclicLoopEnv, agent: ScriptedAgent, steps: int) -> float:
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())

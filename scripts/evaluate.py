@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
-import argparse
-import json
+import os
+import signal
 import sys
-from collections.abc import Sequence
-from itertools import groupby
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # agents are not installed, but run from the checkout
+if __name__ == "__main__":  # Ctrl-C while the packages load
+    signal.signal(signal.SIGINT, lambda *_: (print("\nevaluate.py: nothing done yet", file=sys.stderr), os._exit(130)))
+
+import argparse
+import json
+import re
+from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 from agents import agent_names
 from agents.comparison import compare
 from cyclic_env import __version__, map_names
 from cyclic_env.errors import ConfigError, CyclicLoopError
-from cyclic_env.evaluation import Evaluation, format_table
+from cyclic_env.evaluation import Evaluation, format_table, table_notes
 
 EXAMPLES = """agents by name: {names}
 
@@ -24,7 +30,8 @@ examples:
   python scripts/evaluate.py out/ppo_ring random --noise typical --episodes 20 --json out/scores.json
   python scripts/evaluate.py --all-baselines --markdown
 
-The agents see the same episodes: episode i is that of seed i. Square brackets hold 95 % intervals of the mean."""
+The agents see the same episodes: episode i is that of seed i. With ideal sensors and a fixed start seeds change nothing
+for agents that don't draw: give --noise or --random-start."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -41,42 +48,67 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     parser.add_argument("--noise", default="ideal", help="ideal, calibrated, typical or poor (default ideal)")
     parser.add_argument("--action-type", help="wheels, twist or discrete (default: the model's, or wheels)")
+    parser.add_argument("--random-start", action="store_true", help="draw the starts (default: the plan's own)")
     parser.add_argument("--episodes", type=int, help="how many, with seeds 0, 1, 2 ... (default 10)")
     parser.add_argument("--seeds", help="A:B, the seeds from A to B - 1, in place of --episodes")
     parser.add_argument("--step-budget", type=int, help="longest episode (default: what the plan needs)")
-    parser.add_argument("--num-envs", type=int, help="episodes at once (default up to 16)")
+    parser.add_argument("--num-envs", type=int, help="most episodes at once (default 16)")
     parser.add_argument("--stochastic", action="store_true", help="let models draw their actions")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all episodes and the summary to a file")
     parser.add_argument("--markdown", action="store_true", help="print the tables for a document")
     args = parser.parse_args(arguments)
+    evaluations: list[Evaluation] = []
+    code = 0
     try:
-        if bool(args.agents) == args.all_baselines:
-            raise ConfigError("name at least one agent, or give --all-baselines alone; --help lists the names.")
-        maps = args.map.split(",") if args.map else list(map_names()) if args.all_baselines else []
-        seeds = parse_seeds(args.seeds, args.episodes)
-        if args.json:
-            open_for_writing(args.json)
-        evaluations = compare(
-            agent_names() if args.all_baselines else args.agents,
-            maps=maps,
-            noise=args.noise,
-            seeds=seeds,
-            action_type=args.action_type,
-            step_budget=args.step_budget,
-            num_envs=args.num_envs,
-            deterministic=not args.stochastic,
-            progress=True,
-        )
-        if args.json:
-            write_json(evaluations, args.json)
-    except CyclicLoopError as error:
+        for evaluation in chosen_evaluations(args):
+            evaluations.append(evaluation)
+            if args.json:
+                write_json(evaluations, args.json)
+            if not evaluation.complete:
+                code = 130
+    except KeyboardInterrupt:
+        code = 130
+    except (CyclicLoopError, OSError) as error:
         print(f"evaluate.py: {error}", file=sys.stderr)
-        return 2
-    print(tables(evaluations, markdown=args.markdown))
-    if not all(evaluation.complete for evaluation in evaluations):
-        print("Stopped early: only the episodes that had ended are counted.", file=sys.stderr)
-        return 130
-    return 0
+        code = 2
+    if evaluations:
+        print(tables(evaluations, markdown=args.markdown))
+    if code == 130:
+        count = sum(len(evaluation.episodes) for evaluation in evaluations)
+        kept = f" and in {args.json}" if args.json and evaluations else ""
+        print(
+            f"evaluate.py: stopped; the {count} episodes that had ended are above{kept}."
+            if count
+            else "evaluate.py: stopped before any episode had ended, so there is nothing to keep.",
+            file=sys.stderr,
+        )
+    return code
+
+
+def chosen_evaluations(args: argparse.Namespace) -> Iterator[Evaluation]:
+    """Yield the evaluations that the command line asks for, as they end.
+
+    Raises
+    ------
+    CyclicLoopError
+        If it asks for what can't be.
+    """
+    if bool(args.agents) == args.all_baselines:
+        raise ConfigError("name at least one agent, or give --all-baselines alone; --help lists the names.")
+    if args.json:
+        check_writable(args.json)
+    yield from compare(
+        agent_names() if args.all_baselines else args.agents,
+        maps=args.map.split(",") if args.map else map_names() if args.all_baselines else (),
+        action_type=args.action_type,
+        noise=args.noise,
+        seeds=parse_seeds(args.seeds, args.episodes),
+        random_start=args.random_start,
+        step_budget=args.step_budget,
+        num_envs=args.num_envs,
+        deterministic=not args.stochastic,
+        progress=True,
+    )
 
 
 def parse_seeds(seeds: str | None, episodes: int | None) -> range:
@@ -88,20 +120,16 @@ def parse_seeds(seeds: str | None, episodes: int | None) -> range:
         If it stands for none, or both are given.
     """
     if seeds is None:
-        first, last = 0, 10 if episodes is None else episodes
-    else:
-        if episodes is not None:
-            raise ConfigError("give --seeds or --episodes, not both.")
-        first_text, _, last_text = seeds.partition(":")
-        if not (first_text.isdecimal() and last_text.isdecimal()):
-            raise ConfigError(f"--seeds is {seeds!r}; expected A:B, two whole numbers of at least 0.")
-        first, last = int(first_text), int(last_text)
-    if last <= first:
-        raise ConfigError("there must be at least one episode.")
-    return range(first, last)
+        return range(10 if episodes is None else episodes)
+    if episodes is not None:
+        raise ConfigError("give --seeds or --episodes, not both.")
+    ends = re.fullmatch(r"(\d{1,18}):(\d{1,18})", seeds)
+    if not ends:
+        raise ConfigError(f"--seeds is {seeds!r}; expected A:B, two whole numbers of at least 0.")
+    return range(int(ends[1]), int(ends[2]))
 
 
-def open_for_writing(path: Path) -> None:
+def check_writable(path: Path) -> None:
     """Check, before hours of work, that the file can be written.
 
     Raises
@@ -123,14 +151,18 @@ def write_json(evaluations: Sequence[Evaluation], path: Path) -> None:
 
 
 def tables(evaluations: Sequence[Evaluation], *, markdown: bool) -> str:
-    """Return one table; in a document with several maps, one for each, under its name."""
+    """Return one table and its notes; in a document with several maps, a table for each under its name."""
+    notes = "\n".join(table_notes(evaluations))
     if not markdown or len({evaluation.map for evaluation in evaluations}) == 1:
-        return format_table(evaluations, markdown=markdown)
-    return "\n\n".join(
-        f"### {name}\n\n{format_table(list(group), markdown=True, without=('map', 'noise'))}"
+        return f"{format_table(evaluations, markdown=markdown)}\n\n{notes}"
+    shared = ("map", "noise", "start")
+    parts = [
+        f"### {name}\n\n{format_table(list(group), markdown=True, without=shared)}"
         for name, group in groupby(evaluations, lambda evaluation: evaluation.map)
-    )
+    ]
+    return "\n\n".join([*parts, notes])
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
+import os
+import signal
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # agents are not installed, but run from the checkout
+if __name__ == "__main__":  # Ctrl-C while the packages load
+    signal.signal(signal.SIGINT, lambda *_: (print("\ntrain.py: nothing done yet", file=sys.stderr), os._exit(130)))
+
+import argparse
+import shlex
+from collections.abc import Sequence
 
 from agents.comparison import require_learning
 from cyclic_env.errors import CyclicLoopError
@@ -21,7 +27,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__, epilog=EXAMPLE)
     parser.add_argument("--algo", help="ppo, a2c, sac or td3 (default ppo)")
-    parser.add_argument("--steps", type=int, default=300_000, help="steps of all robots together (default 300000)")
+    parser.add_argument(
+        "--steps", type=int, default=300_000, help="of all robots together, rounded up (default 300000)"
+    )
     parser.add_argument("--map", dest="map_name", help="floor plan, or several with commas between (default ring)")
     parser.add_argument("--noise", help="ideal, calibrated, typical or poor (default ideal)")
     parser.add_argument("--action-type", help="wheels, twist or discrete (default wheels)")
@@ -34,20 +42,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     names = ("algo", "map_name", "noise", "action_type", "step_budget", "num_envs", "seed")
     given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    out = args.out or default_out(**given)
     try:
         require_learning()
         from agents.training import MODEL, resumed_settings, train, training_settings
 
-        out = args.out or default_out(**given)
         settings = resumed_settings(out, given) if args.resume else training_settings(given)
         model, complete = train(settings, steps=args.steps, out=out, resume=args.resume, overwrite=args.overwrite)
-    except CyclicLoopError as error:
+    except (CyclicLoopError, OSError, MemoryError) as error:
         print(f"train.py: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:  # before the first step, or again while the model was being saved
+        print(f"train.py: stopped; {out} holds what was saved before, if anything.", file=sys.stderr)
+        return 130
     if not complete:
         print(
-            f"Stopped after {model.num_timesteps:,} of {args.steps:,} steps; the model so far is in {out / MODEL}.\n"
-            f"To go on: python scripts/train.py --out {out} --resume --steps {args.steps}",
+            f"train.py: stopped after {model.num_timesteps:,} of {args.steps:,} steps; {out / MODEL} has them. "
+            f"To go on: python scripts/train.py --out {shlex.quote(str(out))} --resume --steps {args.steps}",
             file=sys.stderr,
         )
         return 130
@@ -61,4 +72,5 @@ def default_out(*, algo: str = "ppo", map_name: str = "ring", **_: object) -> Pa
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     sys.exit(main())

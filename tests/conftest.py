@@ -2,11 +2,36 @@
 
 from __future__ import annotations
 
+import importlib.util
+import types
+from pathlib import Path
+
 import numpy as np
 import pytest
 import shapely
 
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names
+
+ROOT = Path(__file__).parents[1]
+
+
+def load_script(name: str) -> types.ModuleType:
+    """Return a script as a module."""
+    spec = importlib.util.spec_from_file_location(f"{name}_script", ROOT / "scripts" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return the folder of a training run of 5,000 steps, begun from the command line."""
+    out = tmp_path_factory.mktemp("run")
+    arguments = ["--algo", "ppo", "--steps", "5000", "--map", "ring", "--step-budget", "200", "--out", str(out)]
+    assert load_script("train").main(arguments) == 0
+    return out
 
 
 @pytest.fixture(params=map_names())

@@ -22,7 +22,7 @@ from numpy.testing import assert_array_equal
 
 import cyclic_env
 from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv
-from cyclic_env.config import ACTION_TYPES, NOISE_PRESETS
+from cyclic_env.config import ACTION_TYPES, NOISE_PRESETS, ActionType
 from cyclic_env.engine import INFO
 from cyclic_env.rewards import REWARD_TERMS
 
@@ -65,7 +65,7 @@ def test_importing_the_package_is_quick_and_loads_no_heavy_library() -> None:
 
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 def test_gymnasiums_checker_has_no_warning_on_any_plan(
-    plan: cyclic_env.FloorPlan, action_type: str, monkeypatch: pytest.MonkeyPatch
+    plan: cyclic_env.FloorPlan, action_type: ActionType, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")  # it opens a window as well
     env = gymnasium.make("CyclicLoop-v0", map_name=plan.name, action_type=action_type, render_mode="rgb_array")
@@ -75,7 +75,9 @@ def test_gymnasiums_checker_has_no_warning_on_any_plan(
 
 
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
-def test_stable_baselines_checker_has_no_warning_on_any_plan(plan: cyclic_env.FloorPlan, action_type: str) -> None:
+def test_stable_baselines_checker_has_no_warning_on_any_plan(
+    plan: cyclic_env.FloorPlan, action_type: ActionType
+) -> None:
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -94,6 +96,12 @@ def test_info_has_the_same_keys_and_types_at_reset_and_at_every_step() -> None:
 def test_reward_is_the_sum_of_its_terms() -> None:
     for step in roll_out(CyclicLoopEnv("ring"), bumping_actions(300, 1)[:, 0], seed=0)[1:]:
         assert step[1] == pytest.approx(sum(step[-1]["reward_terms"].values()), abs=1e-12)
+
+
+def test_no_term_of_the_reward_is_minus_zero() -> None:
+    for step in roll_out(CyclicLoopEnv("ring"), bumping_actions(300, 1)[:, 0], seed=0)[1:]:
+        terms = np.array(list(step[-1]["reward_terms"].values()))
+        assert not np.signbit(terms[terms == 0]).any()
 
 
 def test_observations_stay_in_their_space_and_vary(plan: cyclic_env.FloorPlan) -> None:
@@ -258,6 +266,27 @@ def test_a_copied_env_goes_on_to_the_bit_where_no_wall_is_touched(copied: Any) -
     assert_same(env.reset(), twin.reset())
 
 
+def test_a_pickle_holds_no_room_for_steps_to_come() -> None:
+    for map_name in ("ring", "dead_ends"):
+        sizes = []
+        for step_budget in (100, 1_000_000):
+            env = CyclicLoopEnv(map_name, step_budget=step_budget)
+            env.reset(seed=0)
+            actions = bumping_actions(80, 1)[:, 0]
+            actions[:, :2] = (0.3, -0.2)
+            for action in actions[:70]:
+                env.step(action)
+            text = pickle.dumps(env)
+            sizes.append(len(text))
+            twin = pickle.loads(text)
+            for action in actions[70:]:
+                assert_same(env.step(action), twin.step(action))
+            assert_same(env.trajectory(), twin.trajectory())
+            assert_same(env.engine.claims(0), twin.engine.claims(0))
+            assert env.engine.episodes.memory.track.shape == twin.engine.episodes.memory.track.shape
+        assert abs(sizes[1] - sizes[0]) < 1000
+
+
 def test_a_copied_env_goes_on_within_a_millimetre_at_a_wall() -> None:
     env = CyclicLoopEnv("ring")
     env.reset(seed=0, options={"start": (*env.floor_plan.start[:2], 0.7)})
@@ -310,7 +339,10 @@ def test_an_interrupted_step_asks_for_a_reset_and_harms_no_other_row(monkeypatch
             env.step(actions)
     with pytest.raises(cyclic_env.UsageError, match="interrupted"):
         env.step(actions)
-    env.reset(seed=0)
+    env.reset(seed=0, options={"reset_mask": np.array([True, False])})
+    with pytest.raises(cyclic_env.UsageError, match="interrupted"):
+        env.step(actions)
+    env.reset(seed=0, options={"reset_mask": np.array([False, True])})
     env.step(actions)
 
 

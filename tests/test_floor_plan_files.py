@@ -76,7 +76,7 @@ MISTAKES = {
     "endless list": (START + "exterior: &a [*a]", r"exterior\[0\]: expected a point \[x, y\]"),
     "number of 6,000 digits": ("start: {x: 0x" + "f" * 6000 + ", y: 1}\n" + OUTER, r"start\.x: expected a number"),
     "unknown key": (START + OUTER + "hole: []", "unknown key 'hole'.*Did you mean 'holes'"),
-    "key that is a number": (START + OUTER + "3: 4", "unknown key '3'"),
+    "key that is a number": (START + OUTER + "3: 4", "unknown key 3"),
     "key given twice": (START + OUTER + START, "key 'start' stands twice at line 1"),
     "inner key given twice": ("start: {x: 1, x: 2, y: 1}\n" + OUTER, "key 'x' stands twice"),
     "no free space": (START, "either as `exterior`.* or as `corridors`"),

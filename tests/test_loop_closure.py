@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from numba import njit
 from shapely.geometry import Polygon, box
 
-from cyclic_env.config import ACTION_TYPES, ClosureConfig, RobotConfig
+from cyclic_env.config import ACTION_TYPES, ActionType, ClosureConfig, RobotConfig
 from cyclic_env.env import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names
 from cyclic_env.loop_closure import (
@@ -695,7 +695,7 @@ def claim_said(action_type: str, action: np.ndarray, t: int) -> Claim:
 
 
 @cache
-def drive(name: str, driver: str, action_type: str, always_claim: bool = False) -> Drive:
+def drive(name: str, driver: str, action_type: ActionType, always_claim: bool = False) -> Drive:
     """Drive on a shipped plan until the budget is spent, or, always claiming at every step, until success."""
     plan, rng = load_floor_plan(name), np.random.default_rng(len(name))
     policy = DRIVERS[driver](plan, rng)

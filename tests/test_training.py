@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import sys
-import types
-import zipfile
+import shutil
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -30,38 +27,14 @@ from agents.training import (
     train,
 )
 from cyclic_env import ConfigError, CyclicLoopEnv, UsageError
-from cyclic_env.evaluation import evaluate
+from cyclic_env.evaluation import ProgressLine, evaluate
 
 ROOT = Path(__file__).parents[1]
 BUDGET = 40
 
 
-def load_script(name: str) -> types.ModuleType:
-    spec = importlib.util.spec_from_file_location(f"{name}_script", ROOT / "scripts" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-train_main = load_script("train").main
-evaluate_main = load_script("evaluate").main
-
-
 def wandering(count: int, steps: int) -> np.ndarray:
     return np.random.default_rng(1).uniform(-0.3, 1, (steps, count, 4)).astype(np.float32)
-
-
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the folder of a training run of 5,000 steps, begun from the command line."""
-    out = tmp_path_factory.mktemp("run")
-    assert (
-        train_main(["--algo", "ppo", "--steps", "5000", "--map", "ring", "--step-budget", "200", "--out", str(out)])
-        == 0
-    )
-    return out
 
 
 # The VecEnv
@@ -265,7 +238,7 @@ def test_training_writes_a_model_its_settings_and_its_episodes(run: Path) -> Non
     assert settings["steps"] >= 5000
     assert {"torch", "stable-baselines3", "gymnasium", "cyclic-loop"} <= set(settings["versions"])
     lines = (run / PROGRESS).read_text().splitlines()
-    assert lines[0].startswith("steps,return,length,coverage,cycles_closed,false_claims")
+    assert lines[0].startswith("steps,cycles_closed,false_claims,return,length")
     assert len(lines) == 1 + settings["steps"] // 16 // 200 * 16
 
 
@@ -319,31 +292,6 @@ def test_evaluate_policy_and_our_harness_agree_on_a_model(run: Path) -> None:
     venv.close()
 
 
-def test_ctrl_c_saves_and_resuming_goes_on(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ["--num-envs", "4", "--out", str(tmp_path), "--steps", "1500"]
-    calls = 0
-    step_wait = CyclicLoopVecEnv.step_wait
-
-    def interrupted(self: CyclicLoopVecEnv) -> Any:
-        nonlocal calls
-        calls += 1
-        if calls == 200:
-            raise KeyboardInterrupt
-        return step_wait(self)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(CyclicLoopVecEnv, "step_wait", interrupted)
-        assert train_main(arguments) == 130
-    said = capsys.readouterr().err
-    assert f"--out {tmp_path} --resume --steps 1500" in said
-    assert json.loads((tmp_path / SETTINGS).read_text())["steps"] == 796
-    assert train_main([*said.split("scripts/train.py ")[1].split()]) == 0
-    assert json.loads((tmp_path / SETTINGS).read_text())["steps"] >= 1500
-    assert load_trained(tmp_path).model.num_timesteps >= 1500
-
-
 def test_checkpoints_are_written_on_the_way(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     saved = []
     real = PPO.save
@@ -352,167 +300,52 @@ def test_checkpoints_are_written_on_the_way(tmp_path: Path, monkeypatch: pytest.
     assert saved == [0, 400, 800, 1024]
 
 
-# The command lines
-
-
-def test_evaluate_scores_a_model_and_an_agent_by_name(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def test_training_says_where_it_will_end_and_how_far_it_is(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    file = tmp_path / "new" / "scores.json"
-    arguments = [str(run), str(run / MODEL), "circling", "--seeds", "2:4", "--step-budget", "50", "--json", str(file)]
-    assert evaluate_main(arguments) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 4
-    assert all("ring" in line for line in lines[1:])  # the model's own map
-    folder, model, circling = json.loads(file.read_text())["evaluations"]
-    assert folder["episodes"] == model["episodes"]
-    assert [episode["seed"] for episode in circling["episodes"]] == [2, 3]
+    monkeypatch.setattr("cyclic_env.evaluation.REPORT_S", 0.0)
+    model, _ = train(TrainingSettings(num_envs=4, step_budget=200), steps=900, out=tmp_path)
+    first, *lines = capsys.readouterr().err.splitlines()
+    assert model.num_timesteps == 1024
+    assert "until step 1,024 (900 rounded up to whole updates)" in first
+    assert "the first by step 800" in first
+    assert any("% of 1,024 steps" in line and "no episode has ended yet" in line for line in lines)
+    assert lines[-1].startswith("100% of 1,024 steps")
+    assert "0.00 cycles, " in lines[-1]
+    assert "(last 4)" in lines[-1]
 
 
-def test_evaluate_takes_a_model_that_came_without_settings(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    venv = CyclicLoopVecEnv(2, map_name="ring")
-    PPO("MultiInputPolicy", venv, n_steps=8, batch_size=16).save(tmp_path / "own.zip")
-    assert evaluate_main([str(tmp_path / "own.zip"), "--map", "ring", "--episodes", "1", "--step-budget", "5"]) == 0
-    assert "own.zip" in capsys.readouterr().out
-
-
-def test_evaluate_prints_a_table_for_each_plan_of_a_document(capsys: pytest.CaptureFixture[str]) -> None:
-    arguments = ["--all-baselines", "--map", "ring,grid", "--episodes", "1", "--step-budget", "2", "--markdown"]
-    assert evaluate_main(arguments) == 0
-    text = capsys.readouterr().out
-    assert text.count("### ") == 2
-    assert text.count("| circling+claims") == 2
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--algo", "pppo"], "Did you mean 'ppo'?"),
-        (["--map", "rin"], "Did you mean 'ring'?"),
-        (["--noise", "tipical"], "Did you mean 'typical'?"),
-        (["--action-type", "wheel"], "Did you mean 'wheels'?"),
-        (["--steps", "0"], "steps is 0"),
-        (["--steps", "-5"], "steps is -5"),
-        (["--num-envs", "0"], "num_envs is 0"),
-        (["--seed", "-1"], "seed is -1"),
-        (["--step-budget", "0"], "step_budget is 0"),
-        (["--algo", "sac", "--action-type", "discrete"], "takes no discrete actions"),
-        (["--resume"], "to resume from"),
-    ],
-)
-def test_train_says_in_one_line_what_is_wrong(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("algo", "end"), [("a2c", 128), ("sac", 104)])
+def test_other_algorithms_end_where_they_say(
+    algo: str, end: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert train_main([*arguments, "--out", str(tmp_path)]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
-    assert not list(tmp_path.iterdir())
+    monkeypatch.setattr(ProgressLine, "show", lambda self, text: shown.append(text))
+    shown: list[str] = []
+    model, _ = train(TrainingSettings(algo=algo, num_envs=4), steps=101, out=tmp_path)
+    assert model.num_timesteps == end
+    assert f" of {end} steps" in shown[-1]
 
 
-def test_train_refuses_an_output_that_is_no_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "file").write_text("")
-    assert train_main(["--out", str(tmp_path / "file" / "model")]) == 2
-    assert "can't write to the output folder" in capsys.readouterr().err
+def test_episodes_are_in_the_file_as_soon_as_they_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, learn = [], PPO.train
+
+    def counting(self: PPO) -> None:
+        seen.append(len((tmp_path / PROGRESS).read_text().splitlines()))
+        learn(self)
+
+    monkeypatch.setattr(PPO, "train", counting)
+    train(TrainingSettings(num_envs=4, step_budget=100), steps=1024, out=tmp_path, progress=False)
+    assert seen == [1 + 4, 1 + 8]
 
 
-def test_train_keeps_a_model_that_is_there(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before = (run / MODEL).read_bytes()
-    assert train_main(["--out", str(run), "--step-budget", "200"]) == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert train_main(["--out", str(run), "--resume", "--steps", "10"]) == 2
-    assert "trained for" in capsys.readouterr().err
-    assert train_main(["--out", str(run), "--resume", "--noise", "poor"]) == 2
-    assert "begun with noise 'ideal'" in capsys.readouterr().err
-    assert (run / MODEL).read_bytes() == before
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ([], "name at least one agent"),
-        (["circling", "--all-baselines"], "name at least one agent"),
-        (["cirling"], "Did you mean 'circling'?"),
-        (["nowhere.zip"], "there is no model file"),
-        (["random", "--map", "grit"], "Did you mean 'grid'?"),
-        (["random", "--noise", "loud"], "unknown noise preset"),
-        (["random", "--action-type", "legs"], "unknown action type"),
-        (["random", "--seeds", "5"], "expected A:B"),
-        (["random", "--seeds", "5:5"], "at least one episode"),
-        (["random", "--episodes", "0"], "at least one episode"),
-        (["random", "--seeds", "0:2", "--episodes", "2"], "not both"),
-        (["random", "--map", "ring", "--step-budget", "0"], "step_budget is 0"),
-        (["random", "--map", "ring", "--num-envs", "0"], "num_envs is 0"),
-    ],
-)
-def test_evaluate_says_in_one_line_what_is_wrong(
-    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert evaluate_main(arguments) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1
-
-
-def test_evaluate_refuses_files_that_are_no_models(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "text.zip").write_text("hello")
-    with zipfile.ZipFile(tmp_path / "other.zip", "w") as archive:
-        archive.writestr("data", "{}")
-    with zipfile.ZipFile(tmp_path / "broken.zip", "w") as archive:
-        archive.writestr("data", '{"clip_range": 1}')
-    for path, message in (
-        (tmp_path, "no model file"),
-        (tmp_path / "text.zip", "no zip file"),
-        (tmp_path / "other.zip", "unknown algorithm"),
-        (tmp_path / "broken.zip", "can't be loaded"),
-    ):
-        assert evaluate_main([str(path)]) == 2
-        said = capsys.readouterr().err
-        assert message in said
-        assert said.count("\n") == 1
-
-
-def test_evaluate_refuses_a_model_that_does_not_fit(
-    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    PPO("MlpPolicy", gymnasium.make("CartPole-v1")).save(tmp_path / "cart.zip")
-    assert evaluate_main([str(tmp_path / "cart.zip")]) == 2
-    assert "does not fit the environment" in capsys.readouterr().err
-    assert evaluate_main([str(run), "--action-type", "twist"]) == 2
-    assert "trained with action type 'wheels'" in capsys.readouterr().err
-    blind = CyclicLoopVecEnv(1, map_name="ring", laser={"num_beams": 36})
-    PPO("MultiInputPolicy", blind, n_steps=8, batch_size=8).save(tmp_path / "blind.zip")
-    assert evaluate_main([str(tmp_path / "blind.zip")]) == 2
-    assert "observations" in capsys.readouterr().err
-
-
-def test_models_of_different_maps_need_a_map(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    train(TrainingSettings(map_name=("grid",), num_envs=2), steps=1, out=tmp_path, progress=False)
-    assert evaluate_main([str(run), str(tmp_path)]) == 2
-    assert "say with --map" in capsys.readouterr().err
-
-
-def test_malformed_settings_name_their_file(tmp_path: Path) -> None:
-    train(TrainingSettings(num_envs=2), steps=1, out=tmp_path, progress=False)
-    (tmp_path / SETTINGS).write_text("{}")
+@pytest.mark.parametrize("text", ["{}", "[]", "5", "hello", ""])
+def test_malformed_settings_name_their_file(text: str, run: Path, tmp_path: Path) -> None:
+    shutil.copytree(run, tmp_path, dirs_exist_ok=True)
+    (tmp_path / SETTINGS).write_text(text)
     with pytest.raises(ConfigError, match=SETTINGS):
         load_trained(tmp_path)
 
 
-@pytest.mark.parametrize("package", ["torch", "stable_baselines3"])
-def test_missing_packages_are_named_with_the_way_to_get_them(
-    package: str, run: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    class Missing:
-        def find_spec(self, name: str, path: Any = None, target: Any = None) -> None:
-            if name == package:
-                raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-    monkeypatch.delitem(sys.modules, package)
-    monkeypatch.setattr(sys, "meta_path", [Missing(), *sys.meta_path])
-    for main, arguments in ((train_main, []), (evaluate_main, [str(run)])):
-        assert main(arguments) == 2
-        said = capsys.readouterr().err
-        assert f"{package} is missing" in said
-        assert 'pip install -e ".[train]"' in said
-    assert evaluate_main(["standing_still", "--map", "ring", "--episodes", "1", "--step-budget", "5"]) == 0
+def test_a_model_knows_its_settings_wherever_it_is(run: Path, tmp_path: Path) -> None:
+    shutil.copy(run / MODEL, tmp_path / "mine.zip")
+    assert load_trained(tmp_path / "mine.zip").settings == TrainingSettings(step_budget=200)

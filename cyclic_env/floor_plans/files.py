@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import reprlib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,14 +10,10 @@ from typing import Any
 import numpy as np
 import yaml
 
-from cyclic_env.errors import FloorPlanError, unknown_name
-from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
+from cyclic_env.errors import FloorPlanError, shown, unknown_name
+from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, polygon_from_corridors, polygon_from_rings
 
 KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "corridors", "rooms", "centrelines")
-
-
-COORDINATE_MAX = 1e5
-"""Largest coordinate, metres: 100 km, where a float64 still resolves far less than a nanometre."""
 
 
 class _Loader(yaml.SafeLoader):
@@ -101,7 +96,7 @@ def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPl
         raise FloorPlanError(f"a floor plan is a mapping with some of the keys {', '.join(KEYS)}; got {got}.")
     for key in data:
         if key not in KEYS:
-            raise FloorPlanError(unknown_name("key", key if isinstance(key, str) else _shown(key), KEYS))
+            raise FloorPlanError(unknown_name("key", key, KEYS))
     if ("exterior" in data) == ("corridors" in data):
         raise FloorPlanError(
             "give the free space either as `exterior` (with `holes`) or as `corridors` (with `rooms`)."
@@ -136,16 +131,6 @@ def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPl
     )
 
 
-def _shown(value: Any) -> str:
-    """Return a short form of what was given: aliases in YAML can make it too large to print."""
-    short = reprlib.Repr()
-    short.maxlevel = 3
-    try:
-        return short.repr(value)
-    except ValueError:  # Python prints no whole number of more than 4,300 digits
-        return "a number with thousands of digits"
-
-
 def _list(value: Any, key: str) -> Sequence[Any]:
     if not isinstance(value, list | tuple):
         raise FloorPlanError(f"{key}: expected a list, got {type(value).__name__}.")
@@ -156,7 +141,7 @@ def _number(value: Any, key: str) -> float:
     # The comparison also fails for NaN, and, unlike math.isfinite, takes whole numbers of any length.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= COORDINATE_MAX:
         raise FloorPlanError(
-            f"{key}: expected a number from {-COORDINATE_MAX:g} to {COORDINATE_MAX:g}, got {_shown(value)}."
+            f"{key}: expected a number from {-COORDINATE_MAX:g} to {COORDINATE_MAX:g}, got {shown(value)}."
         )
     return float(value)
 
@@ -165,14 +150,14 @@ def _points(value: Any, key: str) -> list[tuple[float, float]]:
     points = []
     for i, point in enumerate(_list(value, key)):
         if not isinstance(point, list | tuple) or len(point) != 2:
-            raise FloorPlanError(f"{key}[{i}]: expected a point [x, y], got {_shown(point)}.")
+            raise FloorPlanError(f"{key}[{i}]: expected a point [x, y], got {shown(point)}.")
         points.append((_number(point[0], f"{key}[{i}].x"), _number(point[1], f"{key}[{i}].y")))
     return points
 
 
 def _corridor(value: Any, key: str) -> tuple[float, list[tuple[float, float]]]:
     if not isinstance(value, Mapping) or set(value) != {"width", "line"}:
-        raise FloorPlanError(f"{key}: expected a mapping with the keys width and line, got {_shown(value)}.")
+        raise FloorPlanError(f"{key}: expected a mapping with the keys width and line, got {shown(value)}.")
     width = _number(value["width"], f"{key}.width")
     if width <= 0:
         raise FloorPlanError(f"{key}.width: expected more than 0, got {width:g}.")
@@ -182,13 +167,13 @@ def _corridor(value: Any, key: str) -> tuple[float, list[tuple[float, float]]]:
 def _text(data: Mapping[str, Any], key: str) -> str:
     value = data.get(key, "")
     if not isinstance(value, str):
-        raise FloorPlanError(f"{key}: expected text, got {_shown(value)}.")
+        raise FloorPlanError(f"{key}: expected text, got {shown(value)}.")
     return value
 
 
 def _start(value: Any) -> tuple[float, float, float]:
     if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "heading"}:
-        raise FloorPlanError(f"start: expected a mapping with x, y and, in radians, heading; got {_shown(value)}.")
+        raise FloorPlanError(f"start: expected a mapping with x, y and, in radians, heading; got {shown(value)}.")
     return (
         _number(value["x"], "start.x"),
         _number(value["y"], "start.y"),

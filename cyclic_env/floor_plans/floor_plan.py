@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -14,7 +15,7 @@ from shapely.geometry.polygon import orient
 from shapely.ops import nearest_points
 from shapely.validation import explain_validity
 
-from cyclic_env.errors import FloorPlanError
+from cyclic_env.errors import FloorPlanError, shown
 
 MIN_CYCLE_LENGTH = 40.0
 """Length in metres from which the ring of a hole is a cycle: twice the path that a closure needs, so that a
@@ -28,6 +29,9 @@ LOST_SHARE_MAX = 0.02
 
 RESOLUTION = 1e-6
 """Points nearer than this, metres, are one: a thousand times finer than any survey, far coarser than rounding."""
+
+COORDINATE_MAX = 1e5
+"""Largest coordinate, metres: 100 km, where a float64 still resolves far less than a nanometre."""
 
 Pose = tuple[float, float, float]
 
@@ -54,7 +58,7 @@ class FloorPlan:
     Raises
     ------
     FloorPlanError
-        If the polygon is empty, crosses itself, or the start is not inside it.
+        If the polygon is empty, crosses itself or is too far away, or the start is not inside it.
     """
 
     name: str
@@ -69,6 +73,11 @@ class FloorPlan:
     def __post_init__(self) -> None:
         polygon = self.free_space
         if isinstance(polygon, Polygon):
+            if not (np.abs(shapely.get_coordinates(polygon)) <= COORDINATE_MAX).all():
+                raise FloorPlanError(
+                    f"{self._label}: the free space has coordinates that are not from {-COORDINATE_MAX:g} to "
+                    f"{COORDINATE_MAX:g}; move the building to the origin, and give metres."
+                )
             # A point given twice would be a wall without a direction, a height a third column.
             polygon = shapely.remove_repeated_points(shapely.force_2d(polygon), RESOLUTION)
         if not isinstance(polygon, Polygon) or polygon.is_empty:
@@ -81,10 +90,10 @@ class FloorPlan:
         object.__setattr__(self, "free_space", orient(polygon, 1.0))
         try:
             x, y, heading = (float(value) for value in self.start)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             x = y = heading = math.nan
         if not all(map(math.isfinite, (x, y, heading))):
-            raise FloorPlanError(f"{self._label}: start must be finite (x, y, heading), got {self.start!r}.")
+            raise FloorPlanError(f"{self._label}: start must be finite (x, y, heading), got {shown(self.start)}.")
         object.__setattr__(self, "start", (x, y, heading))
         self._check_inside(x, y)
 
@@ -137,6 +146,12 @@ class FloorPlan:
     def bounds(self) -> tuple[float, float, float, float]:
         """West, south, east and north end of the free space, metres."""
         return self.free_space.bounds
+
+    def prepared_space(self) -> Polygon:
+        """Return a copy of the free space that answers many questions quickly, but not those of two threads at once."""
+        space = copy.deepcopy(self.free_space)
+        shapely.prepare(space)
+        return space
 
     def reachable(self, radius: float, position: Sequence[float] | None = None) -> Polygon:
         """Return where the centre of a round robot of that radius can get from `position` (default: the start).

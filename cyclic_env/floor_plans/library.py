@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
-from cyclic_env.errors import FloorPlanError, unknown_name
+from cyclic_env.errors import FloorPlanError, shown, unknown_name
 from cyclic_env.floor_plans.files import read_floor_plan
 from cyclic_env.floor_plans.floor_plan import FloorPlan
 
@@ -75,6 +75,6 @@ def load_floor_plans(map_name: MapName | Sequence[MapName]) -> tuple[FloorPlan, 
         return (load_floor_plan(map_name),)
     if not isinstance(map_name, Sequence) or isinstance(map_name, bytes) or not map_name:
         raise FloorPlanError(
-            f"a map is a name, a path, a FloorPlan, or a list of these that is not empty; got {map_name!r}."
+            f"a map is a name, a path, a FloorPlan, or a list of these that is not empty; got {shown(map_name)}."
         )
     return tuple(load_floor_plan(name) for name in map_name)

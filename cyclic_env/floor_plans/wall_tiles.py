@@ -9,11 +9,14 @@ import numpy as np
 import shapely
 
 from cyclic_env.compiled import compiled
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import FloorPlan
 
 TILE_SIZE = 2.0
 """Metres. Smaller tiles have shorter lists, but there are more of them; 2 m keeps Killian Court's in the cache."""
 
+TILES_MAX = 2_000_000
+"""Most tiles of a plan, 8 km2: a gigabyte while they are built."""
 
 GRID = np.dtype(
     [("west", "f8"), ("south", "f8"), ("columns", "i8"), ("rows", "i8"), ("first", "i8")],
@@ -44,16 +47,26 @@ class WallTiles(NamedTuple):
 
 
 def build_wall_tiles(plans: Sequence[FloorPlan], reach: float) -> WallTiles:
-    """Index the walls of `plans` by the tiles from which a point at most `reach` metres away may meet them."""
+    """Index the walls of `plans` by the tiles from which a point at most `reach` metres away may meet them.
+
+    Raises
+    ------
+    FloorPlanError
+        If a plan has too many tiles.
+    """
     grids, walls, counts, indices = [], [], [], []
     num_tiles = num_walls = 0
     for plan in plans:
         west, south, east, north = plan.bounds
         nx, ny = (int(np.ceil((high - low) / TILE_SIZE)) for low, high in ((west, east), (south, north)))
+        if nx * ny > TILES_MAX:
+            raise FloorPlanError(
+                f"floor plan {plan.name!r} spans {east - west:.0f} m x {north - south:.0f} m; "
+                f"at most {TILES_MAX * TILE_SIZE**2 / 1e6:g} km2 can be searched for walls. Cut it into parts."
+            )
         x, y = np.meshgrid(west + TILE_SIZE * np.arange(nx), south + TILE_SIZE * np.arange(ny))
         boxes = shapely.box(x.ravel(), y.ravel(), x.ravel() + TILE_SIZE, y.ravel() + TILE_SIZE)
-        shapely.prepare(plan.free_space)
-        used = np.flatnonzero(shapely.intersects(plan.free_space, boxes))
+        used = np.flatnonzero(shapely.intersects(plan.prepared_space(), boxes))
         tree = shapely.STRtree([shapely.LineString([wall[:2], wall[2:]]) for wall in plan.walls])
         tile, wall = tree.query(boxes[used], predicate="dwithin", distance=reach + 1e-6)
         tile = used[tile]
