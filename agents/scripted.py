@@ -144,29 +144,43 @@ class ScriptedAgent(ABC):
 
     def _actions(self, drive: np.ndarray) -> np.ndarray:
         """Turn drives `(N, 2)`, speed and turning rate as shares of a full twist, into actions."""
-        speed, turn = drive.T
-        if self.action_type == "discrete":
-            drives = np.select(
-                [turn > TURN_FROM, turn < -TURN_FROM, speed > 0, speed < 0],
-                [TURN_LEFT, TURN_RIGHT, FORWARD, BACK],
-                STOP,
-            )
-            return np.column_stack([drives, np.full(len(drives), int(self.claims))])
-        if self.action_type == "twist":
-            first, second = speed, turn
-        else:  # a full turn, 3 rad/s, is half of the wheels' speed to either side
-            first, second = speed - turn / 2, speed + turn / 2
-            excess = np.maximum(1.0, np.maximum(abs(first), abs(second)))
-            first, second = first / excess, second / excess
-        return self._with_claims(np.column_stack([first, second]))
-
-    def _with_claims(self, drives: np.ndarray) -> np.ndarray:
-        claim = np.full(len(drives), 1.0 if self.claims else -1.0)
-        return np.column_stack([drives, claim, np.full(len(drives), MATCH_START)]).astype(np.float32)
+        claims = np.full(len(drive), 1.0 if self.claims else -1.0)
+        return drive_actions(drive, self.action_type, claims, np.full(len(drive), MATCH_START))
 
     @abstractmethod
     def _drive(self, laser: np.ndarray, memory: np.ndarray) -> np.ndarray:
         """Return `(N, 2)`: speed and turning rate, as shares of a full twist; may write to the memory."""
+
+
+def drive_actions(drive: np.ndarray, action_type: ActionType, claims: np.ndarray, matches: np.ndarray) -> np.ndarray:
+    """Return actions `(N, 4)` float32, or `(N, 2)` int64 if discrete.
+
+    Parameters
+    ----------
+    drive : (N, 2)
+        Speed and turning rate as shares of a full twist.
+    action_type : {"wheels", "twist", "discrete"}
+    claims, matches : (N,)
+        As in the action space; a discrete claim has no match.
+    """
+    speed, turn = drive.T
+    if action_type == "discrete":
+        drives = np.select(
+            [turn > TURN_FROM, turn < -TURN_FROM, speed > 0, speed < 0],
+            [TURN_LEFT, TURN_RIGHT, FORWARD, BACK],
+            STOP,
+        )
+        return np.column_stack([drives, claims > 0])
+    if action_type == "twist":
+        return with_claims(drive, claims, matches)
+    # A full turn, 3 rad/s, is half of the wheels' speed to either side.
+    wheels = np.column_stack([speed - turn / 2, speed + turn / 2])
+    return with_claims(wheels / np.maximum(1.0, np.abs(wheels).max(axis=1, keepdims=True)), claims, matches)
+
+
+def with_claims(drives: np.ndarray, claims: np.ndarray, matches: np.ndarray) -> np.ndarray:
+    """Return drives `(N, 2)`, claims and matches `(N,)` as actions `(N, 4)` float32."""
+    return np.column_stack([drives, claims, matches]).astype(np.float32)
 
 
 class StandingStillAgent(ScriptedAgent):
@@ -194,7 +208,8 @@ class RandomAgent(ScriptedAgent):
         if self.action_type == "discrete":
             drives = np.minimum(((drive[:, 0] + 1) / 2 * (BACK + 1)).astype(np.int64), BACK)
             return np.column_stack([drives, np.full(len(drives), int(self.claims))])
-        return self._with_claims(drive)
+        claims = np.full(len(drive), 1.0 if self.claims else -1.0)
+        return with_claims(drive, claims, np.full(len(drive), MATCH_START))
 
 
 class ToAndFroAgent(ScriptedAgent):

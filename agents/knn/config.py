@@ -1,0 +1,98 @@
+"""Settings of the explorer, and its two presets."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+from agents.knn.similarity import measure_by_name
+from cyclic_env.errors import ConfigError, unknown_name
+
+DETECTORS = ("both", "knn", "position")
+ORDERS = ("nearest", "first in first out", "last in first out")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExplorerConfig:
+    """How the explorer maps, recognises and goes on.
+
+    Raises
+    ------
+    ConfigError
+        If a value is out of its range or unknown; the message says what is expected.
+    """
+
+    detector: Literal["both", "knn", "position"] = "both"
+    """What a visited place is told by: its position, its looks (the KNN vote), or looks among the places near."""
+    measure: str = "cosine"
+    """Similarity of two places' properties; see `agents.knn.similarity.MEASURES`."""
+    neighbours: int = 4
+    """K: rows that vote."""
+    threshold: float = 0.99
+    """Similarity from which a place counts as visited, if nothing else is asked for."""
+    sectors: int = 7
+    """Numbers that a place's properties are, looking ahead."""
+    rounding: float = 0.5
+    """Metres that these are whole multiples of."""
+    row_spacing: float = 1.0
+    """Metres between rows."""
+    both_directions: bool = True
+    """Compare with tables of the opposite direction too, looking back."""
+    match_scans: bool = True
+    """Hold the track straight by matching scans, confirm what the vote finds by matching, and mend the track by it."""
+    unbounded_only: bool = False
+    """List only openings with no wall within the laser's reach."""
+    go_on: bool = False
+    """Go on along the corridor until the place is known or the corridor ends, and only then to the list."""
+    order: Literal["nearest", "first in first out", "last in first out"] = "nearest"
+    """In which open areas are gone to."""
+    range_max: float = 12.0
+    """Reach of the laser, metres."""
+
+    def __post_init__(self) -> None:
+        if self.detector not in DETECTORS:
+            raise ConfigError(unknown_name("detector", self.detector, DETECTORS))
+        if self.order not in ORDERS:
+            raise ConfigError(unknown_name("order", self.order, ORDERS))
+        measure_by_name(self.measure)
+        for name, least in (("neighbours", 1), ("sectors", 2)):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int) or value < least:
+                raise ConfigError(f"{name} is {value!r}; expected a whole number of at least {least}.")
+        for name in ("rounding", "row_spacing", "range_max"):
+            value = getattr(self, name)
+            if not isinstance(value, int | float) or not 0 < value < 1000:
+                raise ConfigError(f"{name} is {value!r}; expected metres above 0.")
+        if not isinstance(self.threshold, int | float) or not -1 <= self.threshold <= 1:
+            raise ConfigError(f"threshold is {self.threshold!r}; expected a similarity, at most 1.")
+
+
+PRESETS: dict[str, ExplorerConfig] = {
+    "paper": ExplorerConfig(
+        detector="knn",
+        both_directions=False,
+        match_scans=False,
+        unbounded_only=True,
+        go_on=True,
+        order="first in first out",
+    ),
+    "extended": ExplorerConfig(),
+}
+"""The paper's algorithm as we read it, and with our extensions."""
+
+
+def preset(name: str, **changes: Any) -> ExplorerConfig:
+    """Return the preset of that name, with changes.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such preset or setting; the message lists them and the nearest.
+    """
+    if name not in PRESETS:
+        raise ConfigError(unknown_name("preset", name, PRESETS))
+    known = ExplorerConfig.__dataclass_fields__
+    for change in changes:
+        if change not in known:
+            raise ConfigError(unknown_name("setting", change, known))
+    return replace(PRESETS[name], **changes)

@@ -1,0 +1,278 @@
+"""The paper's explorer: KNN, direction indicators, groups and the open areas' list."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from agents.knn.config import ExplorerConfig, preset
+from agents.knn.detector import Detector
+from agents.knn.directions import Group, compass_direction, sector_features
+from agents.navigation.open_areas import DETOUR, OpenAreas
+from agents.navigation.pilot import Pilot
+from agents.navigation.places import Places
+from agents.navigation.poses import distances, wrap_all
+from agents.navigation.scan_matching import wall_normals
+from agents.navigation.scans import confirm, despeckle, fill, inside
+from agents.navigation.track import Track
+from agents.scripted import MATCH_START, drive_actions
+from cyclic_env.config import ACTION_TYPES, ActionType
+from cyclic_env.errors import ConfigError, unknown_name
+
+FIRST_STEPS = 2
+"""Steps of standing still at first: the scans that later ones are confirmed by."""
+LOOK_AGAIN = 15
+"""Steps after which the goal is thought over, if there was no new row: three seconds."""
+IN_SIGHT_ROWS = 3
+"""Rows back to which an opening counts as being in sight."""
+AHEAD = math.radians(120)
+"""Off the heading, to which a corridor goes on."""
+JOIN_REACH, JOIN_MOST = 6.0, 4
+"""Metres within which places in sight of each other are joined, and how many to each at most."""
+
+
+class Memory:
+    """What the explorer remembers of one robot's episode.
+
+    Attributes
+    ----------
+    steps : int
+        Decisions taken.
+    groups : list of Group
+        The paper's tables, in the order in which they were begun.
+    indicators : list of int
+        NI, EI, SI, WI.
+    places : Places
+        The rows of all tables.
+    track : Track
+    areas : OpenAreas
+    claims : list of (int, int)
+        Steps at which the robot claimed to be back, and at which step it was there before.
+    visited : bool
+        Whether the last row's place was known.
+    done : bool
+        The list is empty: there is nothing left to explore.
+    """
+
+    def __init__(self, config: ExplorerConfig, beams: int) -> None:
+        self.steps = 0
+        self.direction: int | None = None
+        self.indicators = [0, 0, 0, 0]
+        self.groups: list[Group] = []
+        self.places = Places(beams, config.sectors)
+        self.track = Track(config.range_max, config.match_scans)
+        self.areas = OpenAreas(beams, config.range_max)
+        self.detector = Detector(config)
+        self.pilot = Pilot(beams)
+        self.claims: list[tuple[int, int]] = []
+        self.visited = False
+        self.on_list = False
+        self.done = False
+        self.scan = np.zeros(beams)
+        self.earlier: list[tuple[np.ndarray, np.ndarray]] = []
+        self.lengths = np.zeros(0)
+        self.before = np.zeros(0, np.int64)
+        self.since_choice = 0
+
+
+class KnnExplorer:
+    """Explores a building, claims the places it is back at, and stops when nothing is left open.
+
+    Parameters
+    ----------
+    config : ExplorerConfig, optional
+        By default the preset ``extended``.
+    action_type : {"wheels", "twist", "discrete"}
+        That of the environment.
+    """
+
+    def __init__(self, config: ExplorerConfig | None = None, *, action_type: ActionType = "wheels") -> None:
+        if action_type not in ACTION_TYPES:
+            raise ConfigError(unknown_name("action type", action_type, ACTION_TYPES))
+        self.config = preset("extended") if config is None else config
+        self.action_type: ActionType = action_type
+
+    def predict(
+        self,
+        observation: np.ndarray | Mapping[str, np.ndarray],
+        state: Any = None,
+        episode_start: np.ndarray | None = None,
+        deterministic: bool = True,
+    ) -> tuple[np.ndarray, tuple[Memory, ...]]:
+        """Return actions, and what to remember.
+
+        Parameters
+        ----------
+        observation : dict of arrays
+            ``laser`` `(N, beams)`, ``distance`` `(N, 1)`, ``compass`` `(N, 2)`; or of one robot, without the N.
+        state : tuple of Memory, optional
+            As returned by the last call; None at the first.
+        episode_start : (N,) bool, optional
+            Robots whose episode has just begun.
+        deterministic : bool
+            Makes no difference.
+
+        Returns
+        -------
+        actions : (N, 4) float32, or (N, 2) int64 if discrete; without the N for one robot
+        state : tuple of Memory
+        """
+        if not isinstance(observation, Mapping):
+            raise ConfigError("the observation must be a dict with laser, distance and compass.")
+        laser = np.asarray(observation["laser"], np.float64)
+        single = laser.ndim == 1
+        laser = np.atleast_2d(laser)
+        distance = np.reshape(observation["distance"], (len(laser),)).astype(np.float64)
+        compass = np.reshape(observation["compass"], (len(laser), 2)).astype(np.float64)
+        memories = [None] * len(laser) if state is None else list(state)
+        if len(memories) != len(laser):
+            raise ConfigError(f"the state is of {len(memories)} robots, the observation of {len(laser)}.")
+        if episode_start is not None:
+            begun = np.asarray(episode_start, np.bool_).reshape(len(laser))
+            memories = [None if new else memory for new, memory in zip(begun, memories, strict=True)]
+        kept = tuple(Memory(self.config, laser.shape[1]) if memory is None else memory for memory in memories)
+        actions = np.stack(
+            [self._decide(memory, laser[row], distance[row], compass[row]) for row, memory in enumerate(kept)]
+        )
+        return (actions[0] if single else actions), kept
+
+    def _decide(self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray) -> np.ndarray:
+        """Take one robot's decision: the paper's Steps 1 to 6."""
+        places, track, pilot = memory.places, memory.track, memory.pilot
+        self._sense(memory, laser, distance, compass)
+        # Steps 2 to 4: a change of direction raises the new direction's indicator, and begins a group.
+        direction = compass_direction(track.compass, memory.direction)
+        if direction != memory.direction:
+            memory.direction = direction
+            memory.indicators[direction] += 1
+            memory.groups.append(Group(direction, memory.indicators[direction]))
+        match = None
+        if memory.steps >= FIRST_STEPS and not memory.done:
+            moved = math.inf if not places.count else math.hypot(*(track.pose[:2] - places.pose[-1, :2]))
+            if pilot.goal is not None and pilot.gives_up:
+                memory.areas.ban(places, pilot.goal)
+                pilot.drop()
+                memory.since_choice = LOOK_AGAIN
+            if moved >= self.config.row_spacing or (pilot.arrives(track.pose) and moved > 0.1):
+                # Step 1: add a row to the group's table, and openings to the open areas' list.
+                self._add_row(memory)
+                # Step 5: compare with the tables of before.
+                match = self._compare(memory)
+                memory.areas.update(places, memory.lengths)
+                memory.since_choice = LOOK_AGAIN
+            # Step 6: go to an open area, or on.
+            if memory.since_choice >= LOOK_AGAIN:
+                self._choose(memory)
+            memory.since_choice += 1
+        memory.steps += 1
+        speed, turn = pilot.drive(track.pose, memory.scan)
+        if match is not None:
+            memory.claims.append((memory.steps, match))
+        return self._action(speed, turn, match, memory.steps)
+
+    def _sense(self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray) -> None:
+        memory.earlier = [(memory.scan.copy(), memory.track.pose.copy()), *memory.earlier[:1]]
+        despeckle(laser, memory.scan)
+        memory.track.advance(distance, compass)
+
+    def _add_row(self, memory: Memory) -> None:
+        places, track = memory.places, memory.track
+        scan, confirmed = memory.scan.copy(), np.zeros(len(memory.scan), np.bool_)
+        for earlier, pose in memory.earlier:
+            confirm(memory.scan, track.pose, earlier, pose, confirmed)
+        fill(memory.scan, confirmed, scan)
+        memory.scan = scan
+        track.localise(places, scan, memory.lengths)
+        normals = np.empty((len(scan), 2))
+        wall_normals(scan, self.config.range_max, normals)
+        row = places.add(
+            pose=track.pose,
+            odometry=track.odometry,
+            scan=scan,
+            normals=normals,
+            features=sector_features(scan, self.config.sectors, self.config.rounding),
+            compass=track.compass,
+            direction=memory.direction,
+            group=len(memory.groups) - 1,
+            step=memory.steps,
+            path=track.path,
+        )
+        memory.groups[-1].rows.append(row)
+        memory.lengths, memory.before = places.ways_from(row)
+
+    def _compare(self, memory: Memory) -> int | None:
+        """Return the step at which the robot was here before, if it was; join what belongs together."""
+        places, track = memory.places, memory.track
+        last = places.count - 1
+        found = memory.detector.detect(places, track, memory.lengths)
+        if found.joins is not None:
+            places.join(found.joins, last)
+        if found.loop is not None:
+            track.close(places, found.loop)
+            found.visited = memory.detector.at_loop(places, track)
+        track.relax(places)
+        memory.lengths, memory.before = places.ways_from(last)
+        self._join_neighbours(memory, last)
+        memory.lengths, memory.before = places.ways_from(last)
+        if found.joins is not None:
+            memory.areas.recheck(places)
+        memory.visited = found.visited is not None
+        return None if found.visited is None else int(places.step[found.visited])
+
+    def _join_neighbours(self, memory: Memory, last: int) -> None:
+        """Let ways lead to the nearest places in sight."""
+        places = memory.places
+        away = distances(places.pose, places.pose[last])
+        near = np.flatnonzero((away < JOIN_REACH) & (memory.lengths <= away + DETOUR))
+        near = near[near < last - 1]
+        near = near[np.argsort(away[near], kind="stable")][:JOIN_MOST]
+        seen = np.empty(len(near), np.bool_)
+        inside(places.scan[last], *places.pose[last], places.pose[near, :2], 0.3, seen)
+        for place in near[seen].tolist():
+            places.join(place, last)
+
+    def _choose(self, memory: Memory) -> None:
+        memory.since_choice = 0
+        pilot = memory.pilot
+        pilot.choose(
+            memory.track.pose,
+            memory.scan,
+            memory.places,
+            memory.areas,
+            memory.lengths,
+            memory.before,
+            self._order(memory),
+        )
+        memory.done = pilot.goal is None
+
+    def _order(self, memory: Memory) -> np.ndarray | None:
+        """Return which open points come first, `(m,)`, inf for those out of question; None if all are alike."""
+        config, areas, goal = self.config, memory.areas, memory.pilot.goal
+        if config.order == "nearest" and not config.unbounded_only and not config.go_on:
+            return None
+        points = areas.points(memory.places)
+        if memory.on_list:
+            # On the way to an area of the list, until it is struck off.
+            memory.on_list = goal is not None and len(points) > 0 and bool(distances(points, goal).min() < 0.3)
+            if memory.on_list and goal is not None:
+                return np.where(areas.area == areas.area[np.argmin(distances(points, goal))], 0.0, np.inf)
+        if config.go_on and not memory.visited:
+            pose = memory.track.pose
+            bearings = wrap_all(np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2])
+            ahead = (areas.place >= memory.places.count - IN_SIGHT_ROWS) & (np.abs(bearings) < AHEAD)
+            if ahead.any():
+                return np.where(ahead, 0.0, np.inf)
+        sign = {"nearest": 0, "first in first out": 1, "last in first out": -1}[config.order]
+        order = sign * areas.area.astype(np.float64)
+        if config.unbounded_only:
+            order[~areas.unbounded] = np.inf
+        memory.on_list = bool(np.isfinite(order).any())
+        return order
+
+    def _action(self, speed: float, turn: float, match: int | None, steps: int) -> np.ndarray:
+        claim = -1.0 if match is None else 1.0
+        when = MATCH_START if match is None else 2 * match / steps - 1
+        return drive_actions(np.array([[speed, turn]]), self.action_type, np.array([claim]), np.array([when]))[0]

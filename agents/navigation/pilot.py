@@ -1,0 +1,173 @@
+"""Where to go next, the way there, and how to drive it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from agents.navigation.local_map import LocalMap
+from agents.navigation.open_areas import DETOUR, OpenAreas
+from agents.navigation.places import Places, route
+from agents.navigation.poses import distances, wrap, wrap_all
+from agents.navigation.scans import clear_beam, clear_lengths
+
+HALF_WIDTH = 0.31
+"""Metres: the robot's radius, and a little air."""
+LOOKAHEAD = 3.0
+"""Metres along its way that the robot cuts short at most; more would cut corners that the way goes round."""
+TURN_COST = 1.5
+"""Metres of way that a radian of turning is worth, so that the robot goes on rather than back."""
+DOUBT_COST = 6.0
+"""Metres that a doubtful opening is put off by: it is mostly a wall, and seen to be one in passing."""
+FAR_COST = 3.0
+"""Metres that a goal off the local map is put off by."""
+SWITCH_SHARE, SWITCH_GAIN = 0.4, 2.0
+"""Another goal must cost less than this share of the one at hand, by so many metres more: no dithering."""
+PATIENCE = 45
+"""Steps without half a metre's progress after which a goal is given up: nine seconds."""
+MAP_REACH = 12.0
+"""Metres around the robot within which places' scans are drawn on the local map."""
+MAP_SCANS = 20
+"""Scans drawn at most."""
+ARRIVES = 0.8
+"""Metres from a goal at which the robot looks around."""
+
+
+class Pilot:
+    """The goal of the moment, the way to it, and patience with it.
+
+    Attributes
+    ----------
+    goal : (2,) float64 or None
+        In the frame of the track.
+    way : (m, 2) float64
+        Points that are left of the way to it.
+    """
+
+    def __init__(self, beams: int) -> None:
+        self.goal: np.ndarray | None = None
+        self.way = np.zeros((0, 2))
+        self._local = False
+        self._map = LocalMap()
+        self._clear = np.zeros(beams)
+        self._left = math.inf  # cost of the way when there was progress last
+        self._waited = 0
+
+    def choose(
+        self,
+        pose: np.ndarray,
+        scan: np.ndarray,
+        places: Places,
+        areas: OpenAreas,
+        lengths: np.ndarray,
+        before: np.ndarray,
+        order: np.ndarray | None = None,
+    ) -> None:
+        """Choose an open point to go to: the one at hand, or the cheapest if that is gone or far dearer.
+
+        Parameters
+        ----------
+        pose : (3,)
+        scan : (beams,)
+        places : Places
+        areas : OpenAreas
+        lengths, before : (n,)
+            Of the ways from the last place; see `Places.ways_from`.
+        order : (m,), optional
+            Only points of the least value are chosen from; inf for those that are out of question.
+        """
+        points = areas.points(places)
+        if not len(points) or (order is not None and not np.isfinite(order).any()):
+            self.goal = None
+            return
+        away = distances(points, pose)
+        costs, ends = self._draw(pose, scan, places, areas.range_max, lengths).ways_to(points)
+        local = np.isfinite(costs) & (lengths[areas.place] <= away + DETOUR + MAP_REACH)
+        costs = np.where(local, costs, lengths[areas.place] + areas.polar[:, 0] + FAR_COST)
+        bearings = np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2]
+        costs += TURN_COST * np.abs(wrap_all(bearings)) + DOUBT_COST * areas.polar[:, 2]
+        if order is not None:
+            costs += np.where(order == order.min(), 0.0, np.inf)
+        best = int(np.argmin(costs))
+        if self.goal is not None:
+            same = distances(points, self.goal)
+            mine = int(np.argmin(same))
+            if (
+                same[mine] < 0.3
+                and np.isfinite(costs[mine])
+                and costs[best] >= SWITCH_SHARE * costs[mine] - SWITCH_GAIN
+            ):
+                best = mine
+        kept = self.goal is not None and distances(points[best : best + 1], self.goal)[0] < 0.5
+        if not kept or costs[best] < self._left - 0.5:
+            self._left, self._waited = float(costs[best]), 0
+        goal = self.goal = points[best]
+        if kept and self._local and not local[best] and len(self.way):
+            return  # the way is known, though its end is off the map now
+        self._local = bool(local[best])
+        if self._local:
+            self.way = self._map.way_to(int(ends[best]))
+        else:
+            self.way = np.vstack([places.pose[route(before, int(areas.place[best])), :2], goal])
+
+    def _draw(
+        self, pose: np.ndarray, scan: np.ndarray, places: Places, range_max: float, lengths: np.ndarray
+    ) -> LocalMap:
+        away = distances(places.pose, pose)
+        near = np.flatnonzero((away < MAP_REACH) & (lengths <= away + DETOUR))
+        near = near[np.argsort(away[near], kind="stable")][: 2 * MAP_SCANS : 2]
+        self._map.draw(pose, np.vstack([scan, places.scan[near]]), np.vstack([pose, places.pose[near]]), range_max)
+        return self._map
+
+    def arrives(self, pose: np.ndarray) -> bool:
+        """Tell whether the robot is at its goal."""
+        return self.goal is not None and math.hypot(pose[0] - self.goal[0], pose[1] - self.goal[1]) < ARRIVES
+
+    @property
+    def gives_up(self) -> bool:
+        """Whether the goal seems out of reach."""
+        return self.goal is not None and self._waited > PATIENCE
+
+    def drop(self) -> None:
+        """Have no goal any more."""
+        self.goal, self._left, self._waited = None, math.inf, 0
+
+    def drive(self, pose: np.ndarray, scan: np.ndarray) -> tuple[float, float]:
+        """Return speed and turning rate along the way, as shares of a full twist."""
+        if self.goal is None:
+            return 0.0, 0.0
+        self._waited += 1
+        clear_lengths(scan, HALF_WIDTH, self._clear)
+        ahead = self.way[:60]
+        dx, dy = ahead[:, 0] - pose[0], ahead[:, 1] - pose[1]
+        away = np.hypot(dx, dy)
+        bearings = np.arctan2(dy, dx) - pose[2]
+        beams = np.rint(bearings * (len(scan) / math.tau)).astype(np.int64) % len(scan)
+        free = np.flatnonzero((away < self._clear[beams] + 0.3) & (away < LOOKAHEAD))
+        target = int(free[-1]) if len(free) else 0
+        if away[target] < 0.6 and target < len(ahead) - 1:
+            target += 1
+        self.way = self.way[target:]
+        return steer(self._clear, wrap(float(bearings[target])), float(away[target]))
+
+
+def steer(clear: np.ndarray, bearing: float, distance: float) -> tuple[float, float]:
+    """Return speed and turning rate, as shares of a full twist, towards a point that may be behind something.
+
+    Parameters
+    ----------
+    clear : (beams,)
+        As from `clear_lengths`.
+    bearing, distance : float
+        Of the point, radians and metres.
+    """
+    for need in (min(1.0, distance), 0.5):
+        free = clear_beam(clear, bearing, need)
+        if not math.isnan(free):
+            bearing = wrap(free)
+            break
+    turn = max(-1.0, min(1.0, 1.6 * bearing))
+    # Turn on the spot when the way is off to the side or behind, and slow down for what is ahead.
+    speed = math.cos(bearing) ** 4 if abs(bearing) < 1.2 else 0.0
+    return speed * min(1.0, max(0.15, (clear[0] - 0.3) / 0.8)), 0.8 * turn
