@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 import shapely
-from shapely.geometry import LinearRing, Point, Polygon
+from shapely.geometry import LinearRing, LineString, Point, Polygon
 from shapely.geometry.polygon import orient
 from shapely.ops import nearest_points
 from shapely.validation import explain_validity
@@ -210,11 +210,16 @@ class FloorPlan:
                 f"{worst.area:.1f} m2 around ({inside.x:.1f}, {inside.y:.1f}); widen the way there or wall it off."
             )
 
-    def closed_tour_bound(self) -> float:
-        """Total length of the centrelines, metres; 0 where they are not known. No tour of all corridors is shorter."""
-        return float(
-            sum(np.linalg.norm(np.diff(line, axis=0), axis=1).sum() for line in map(np.array, self.centrelines))
-        )
+    def closed_tour(self) -> float:
+        """Return the length of the shortest closed tour that drives every corridor's centreline at least once, metres.
+
+        NaN where the centrelines are not known or not all connected. An end that lies within half a corridor's width
+        of another centreline is joined to it, and the join is driven too.
+        """
+        from cyclic_env.floor_plans import tour  # loads scipy's optimizer, half a second that nothing else needs
+
+        lines = [LineString(line) for line in self.centrelines if len(line) > 1]
+        return tour.closed_tour([*lines, *tour.joins(lines, self.free_space.boundary)], RESOLUTION)
 
 
 def polygon_from_rings(
@@ -280,7 +285,7 @@ def polygon_from_corridors(
         if len(line) < 2 or all(tuple(point) == tuple(line[0]) for point in line):
             raise FloorPlanError(f"corridors[{i}].line: a centreline needs at least 2 different points.")
         closed = len(line) > 3 and tuple(line[0]) == tuple(line[-1])
-        geometry = LinearRing(line) if closed else shapely.LineString(line)
+        geometry = LinearRing(line) if closed else LineString(line)
         parts.append(geometry.buffer(width / 2, cap_style="square", join_style="mitre"))
     parts.extend(polygon_from_rings(room, key=f"rooms[{i}]") for i, room in enumerate(rooms))
     union = shapely.set_precision(shapely.union_all(parts), RESOLUTION).simplify(RESOLUTION)
