@@ -14,7 +14,7 @@ from agents.navigation.open_areas import DETOUR
 from agents.navigation.places import Places
 from agents.navigation.poses import compose, distances, relative
 from agents.navigation.scan_matching import Match, match
-from agents.navigation.scans import inside
+from agents.navigation.scans import clear_lengths
 from agents.navigation.track import Track
 
 LEAST_GAP = 20.1
@@ -23,6 +23,8 @@ LEAST_LEAVE = 10.1
 """Metres that the robot was away in between, likewise."""
 AT_PLACE = 2.5
 """Metres from a place at which the robot is back there: half a metre less than counts."""
+SIGHT_HALF_WIDTH = 0.2
+"""Metres off all walls that the line of sight to that place must be, for the track may be off by as much."""
 DRIFT = 0.02
 """Metres that the track may be off for every metre of way between two places."""
 DRIFT_MIN, DRIFT_MAX = 1.5, 9.5
@@ -100,13 +102,17 @@ class Detector:
 
     def _in_sight(self, places: Places, pose: np.ndarray, candidates: np.ndarray) -> int | None:
         """Return the nearest of the candidates that is in sight and no farther than `AT_PLACE`."""
-        candidates = candidates[distances(places.pose[candidates], pose) < AT_PLACE]
-        seen = np.empty(len(candidates), np.bool_)
-        inside(places.scan[-1], *pose, places.pose[candidates, :2], 0.1, seen)
-        candidates = candidates[seen]
-        if not len(candidates):
-            return None
-        return int(candidates[np.argmin(distances(places.pose[candidates], pose))])
+        scan = places.scan[-1]
+        clear = np.empty(len(scan))
+        clear_lengths(scan, SIGHT_HALF_WIDTH, clear)
+        for place in candidates[np.argsort(distances(places.pose[candidates], pose), kind="stable")].tolist():
+            x, y, _ = relative(pose, places.pose[place])
+            away, beam = math.hypot(x, y), round(math.atan2(y, x) * len(scan) / math.tau) % len(scan)
+            if away > AT_PLACE:
+                break
+            if away < clear[beam]:
+                return place
+        return None
 
     def _by_position(self, places: Places, lengths: np.ndarray) -> Detection:
         """Ask dead reckoning alone: no laser, no mended track."""

@@ -96,9 +96,10 @@ class OpenAreas:
             points = self.points(places)
             away = distances(points, pose)
             near = lengths[self.place] <= away + DETOUR
-            in_sight = self._sees(places, last, points)
-            arrived = near & in_sight & (away < ARRIVED)
-            self._drop((self._settles(places, last, points) & near) | arrived, arrived)
+            arrived = self._at(
+                places, last, points
+            )  # even if the loop there is not closed yet: the robot goes on to close it
+            self._drop(near & self._settles(places, last, points) | arrived, arrived)
         if len(self):
             # A point is best kept by the place that sees it from nearest: the way to it leads from there.
             points = self.points(places)
@@ -157,11 +158,15 @@ class OpenAreas:
         self._banned = np.vstack([self._banned, point])
 
     def _settles(self, places: Places, place: int | np.integer, points: np.ndarray) -> np.ndarray:
+        """Tell which points are settled by what was seen from a place, or because they are right beside it."""
         settled = np.empty(len(points), np.bool_)
         settles(places.scan[place], self.range_max, *places.pose[place], points, settled)
-        return settled
+        return settled | self._at(places, place, points)
 
-    def _sees(self, places: Places, place: int, points: np.ndarray) -> np.ndarray:
+    def _at(self, places: Places, place: int | np.integer, points: np.ndarray) -> np.ndarray:
+        return (distances(points, places.pose[place]) < ARRIVED) & self._sees(places, place, points)
+
+    def _sees(self, places: Places, place: int | np.integer, points: np.ndarray) -> np.ndarray:
         seen = np.empty(len(points), np.bool_)
         inside(places.scan[place], *places.pose[place], points, -0.6, seen)
         return seen
