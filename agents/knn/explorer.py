@@ -214,7 +214,8 @@ class KnnExplorer:
             track.close(places, found.loop)
             found.visited = memory.detector.at_loop(places, track)
         track.relax(places)
-        memory.lengths, memory.before = places.ways_from(last)
+        if found.joins is not None:
+            memory.lengths, _ = places.ways_from(last)
         self._join_neighbours(memory, last)
         memory.lengths, memory.before = places.ways_from(last)
         if found.joins is not None:

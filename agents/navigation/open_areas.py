@@ -8,7 +8,7 @@ import numpy as np
 
 from agents.navigation.places import Places
 from agents.navigation.poses import distances
-from agents.navigation.scans import inside, open_points, settles, to_track
+from agents.navigation.scans import BESIDE, DOUBTFUL, NEAR_SIGHT, UNBOUNDED, inside, open_points, settles, to_track
 
 DETOUR = 14.0
 """Metres by which the way to a place may be longer than the straight line if what one sees, the other sees too.
@@ -20,8 +20,6 @@ SIGHT = 14.0
 """Metres between two places whose scans may overlap at points of one of them: a little more than the laser's reach."""
 MOST_POINTS = 400
 """Of one scan; more are left out."""
-ARRIVED = 1.0
-"""Metres from a point in sight at which the robot has been there."""
 SAME_AREA = 2.0
 """Metres between points of one area at most: less than between two doors."""
 LEFT_BEHIND = 6.0
@@ -49,7 +47,7 @@ class OpenAreas:
     Attributes
     ----------
     polar : (m, 3) float64
-        Range, beam and whether it is doubtful, as from `open_points`, at the place.
+        Range, beam and kind, as from `open_points`, at the place.
     place : (m,) int64
     area : (m,) int64
         Alike for points of one area; counts up in the order in which areas are found.
@@ -78,7 +76,7 @@ class OpenAreas:
     @property
     def unbounded(self) -> np.ndarray:
         """Which points `(m,)` were seen with no wall within the laser's reach behind them."""
-        return self.polar[:, 0] >= self.range_max - 0.5
+        return self.polar[:, 2] == UNBOUNDED
 
     def update(self, places: Places, lengths: np.ndarray) -> None:
         """Strike off what the last place has settled, and add what it has opened.
@@ -96,10 +94,9 @@ class OpenAreas:
             points = self.points(places)
             away = distances(points, pose)
             near = lengths[self.place] <= away + DETOUR
-            arrived = self._at(
-                places, last, points
-            )  # even if the loop there is not closed yet: the robot goes on to close it
-            self._drop(near & self._settles(places, last, points) | arrived, arrived)
+            # Also if the loop to a point is not closed yet, the robot has been there; it goes on, and closes it.
+            arrived = self._sees(places, last, points) & (away < BESIDE)
+            self._drop(near & self._settles(places, np.array([last]), points) | arrived, arrived)
         if len(self):
             # A point is best kept by the place that sees it from nearest: the way to it leads from there.
             points = self.points(places)
@@ -117,9 +114,7 @@ class OpenAreas:
         polar = np.empty((MOST_POINTS, 3))
         polar = polar[: open_points(places.scan[last], self.range_max, polar)]
         points = to_track(polar, np.tile(places.pose[last], (len(polar), 1)), 2 * np.pi / self.beams)
-        new = np.ones(len(points), np.bool_)
-        for place in near[near != last]:
-            new &= ~self._settles(places, place, points)
+        new = ~self._settles(places, near[near != last], points)
         for banned in self._banned:
             new &= distances(points, banned) >= BANNED
         known, areas = self.points(places), self.area.tolist()
@@ -143,9 +138,9 @@ class OpenAreas:
             mine = np.flatnonzero(self.place == place)
             lengths, _ = places.ways_from(int(place))
             away = distances(places.pose, places.pose[place])
-            for other in np.flatnonzero((away < 2 * SIGHT) & (lengths <= away + DETOUR)):
-                if other != place:
-                    settled[mine] |= self._settles(places, other, points[mine])
+            away[place] = np.inf
+            near = np.flatnonzero((away < 2 * SIGHT) & (lengths <= away + DETOUR))
+            settled[mine] = self._settles(places, near, points[mine])
         self._drop(settled, np.zeros(len(points), np.bool_))
 
     def ban(self, places: Places, point: np.ndarray) -> None:
@@ -157,18 +152,14 @@ class OpenAreas:
         self._drop(around, around)
         self._banned = np.vstack([self._banned, point])
 
-    def _settles(self, places: Places, place: int | np.integer, points: np.ndarray) -> np.ndarray:
-        """Tell which points are settled by what was seen from a place, or because they are right beside it."""
+    def _settles(self, places: Places, seers: np.ndarray, points: np.ndarray) -> np.ndarray:
         settled = np.empty(len(points), np.bool_)
-        settles(places.scan[place], self.range_max, *places.pose[place], points, settled)
-        return settled | self._at(places, place, points)
+        settles(places.scan[seers], places.pose[seers], self.range_max, points, settled)
+        return settled
 
-    def _at(self, places: Places, place: int | np.integer, points: np.ndarray) -> np.ndarray:
-        return (distances(points, places.pose[place]) < ARRIVED) & self._sees(places, place, points)
-
-    def _sees(self, places: Places, place: int | np.integer, points: np.ndarray) -> np.ndarray:
+    def _sees(self, places: Places, place: int, points: np.ndarray) -> np.ndarray:
         seen = np.empty(len(points), np.bool_)
-        inside(places.scan[place], *places.pose[place], points, -0.6, seen)
+        inside(places.scan[place], *places.pose[place], points, -NEAR_SIGHT, seen)
         return seen
 
     def _drop(self, dropped: np.ndarray, arrived: np.ndarray) -> None:
@@ -182,7 +173,7 @@ class OpenAreas:
     def _list(self, places: Places, pose: np.ndarray) -> None:
         points = self.points(places)
         away = distances(points, pose)
-        for area in set(self.area.tolist()) - set(self._numbers):
+        for area in set(self.area[self.polar[:, 2] != DOUBTFUL].tolist()) - set(self._numbers):
             mine = np.flatnonzero(self.area == area)
             now = float(away[mine].min())
             least = self._nearest[area] = min(now, self._nearest.get(area, now))

@@ -10,7 +10,7 @@ from agents.navigation.local_map import LocalMap
 from agents.navigation.open_areas import DETOUR, OpenAreas
 from agents.navigation.places import Places, route
 from agents.navigation.poses import distances, wrap, wrap_all
-from agents.navigation.scans import clear_beam, clear_lengths
+from agents.navigation.scans import DOUBTFUL, clear_beam, clear_lengths
 
 HALF_WIDTH = 0.31
 """Metres: the robot's radius, and a little air."""
@@ -86,7 +86,7 @@ class Pilot:
         local = np.isfinite(costs) & (lengths[areas.place] <= away + DETOUR + MAP_REACH)
         costs = np.where(local, costs, lengths[areas.place] + areas.polar[:, 0] + FAR_COST)
         bearings = np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2]
-        costs += TURN_COST * np.abs(wrap_all(bearings)) + DOUBT_COST * areas.polar[:, 2]
+        costs += TURN_COST * np.abs(wrap_all(bearings)) + DOUBT_COST * (areas.polar[:, 2] == DOUBTFUL)
         if order is not None:
             costs += np.where(order == order.min(), 0.0, np.inf)
         best = int(np.argmin(costs))

@@ -20,6 +20,12 @@ JUMP = 0.8
 """Metres between neighbouring ranges from which there is an opening between them."""
 AT_WALL = 0.45
 """Metres behind a wall at which a point is taken to be on it: drift and noise between scans, and niches of no use."""
+BESIDE = 1.0
+"""Metres from a scan within which all in sight is settled, or a robot at an opening would never be done with it."""
+NEAR_SIGHT = 0.6
+"""Metres beyond a scan's end that still count as in sight: to the edge of an opening, or a wall."""
+FIRM, DOUBTFUL, UNBOUNDED = 0, 1, 2
+"""Kinds of open points: at a corner; on a wall seen at a slant, or an opening in it; with no wall within reach."""
 CONFIRM = 0.4
 """Metres."""
 OFF_WALL = 0.15
@@ -105,17 +111,26 @@ def inside(ranges, x, y, heading, points, margin, out):
 
 
 @compiled
-def settles(ranges, range_max, x, y, heading, points, out):
-    """Write into `out` `(n,)` which points `(n, 2)` a scan settles: it sees beyond them, or a wall there."""
-    n = ranges.shape[0]
-    spacing = 2 * math.pi / n
+def settles(scans, poses, range_max, points, out):
+    """Write into `out` `(n,)` which points `(n, 2)` are open no more after scans `(m, beams)` at poses `(m, 3)`.
+
+    A scan settles what it sees beyond, what has a wall there, and what is in sight right beside it.
+    """
+    beams = scans.shape[1]
+    spacing = 2 * math.pi / beams
     for i in range(points.shape[0]):
-        dx, dy = points[i, 0] - x, points[i, 1] - y
-        beam = (math.atan2(dy, dx) - heading) / spacing
-        low = math.floor(beam)
-        a, b = ranges[low % n], ranges[(low + 1) % n]
-        wall = max(a, b) < range_max - 0.05 and abs(a - b) <= JUMP
-        out[i] = math.sqrt(dx * dx + dy * dy) < min(a, b) + (AT_WALL if wall else -0.15)
+        out[i] = False
+        for k in range(scans.shape[0]):
+            dx, dy = points[i, 0] - poses[k, 0], points[i, 1] - poses[k, 1]
+            beam = (math.atan2(dy, dx) - poses[k, 2]) / spacing
+            low = math.floor(beam)
+            a, b = scans[k, low % beams], scans[k, (low + 1) % beams]
+            wall = max(a, b) < range_max - 0.05 and abs(a - b) <= JUMP
+            distance = math.sqrt(dx * dx + dy * dy)
+            beyond = distance - min(a, b)
+            if beyond < (AT_WALL if wall else -0.15) or (distance < BESIDE and beyond < NEAR_SIGHT):
+                out[i] = True
+                break
 
 
 @compiled
@@ -142,7 +157,7 @@ def _continues(ranges, range_max, k, step, far):
 def open_points(ranges, range_max, out):
     """Write points on the open edges of a scan's polygon into `out` `(m, 3)`; return how many.
 
-    A point is (range, beam, doubtful).
+    A point is (range, beam, kind); see `FIRM`.
 
     An edge is open where the range jumps by more than `JUMP` from one beam to the next, or where a beam ends
     at no wall: behind it lies what the scan has not seen. Points near walls are left out, and edges between ends on one
@@ -154,14 +169,14 @@ def open_points(ranges, range_max, out):
     count = 0
     for k in range(n):
         other = (k + 1) % n
-        a, b = ranges[k], ranges[other]
+        a, b, kind = ranges[k], ranges[other], FIRM
         if a >= free and b >= free:
-            first, last, beam = range_max - 0.3, range_max, k + 0.5
+            first, last, beam, kind = range_max - 0.3, range_max, k + 0.5, UNBOUNDED
         elif abs(a - b) > JUMP:
             if _continues(ranges, range_max, k, -1, other) or _continues(ranges, range_max, other, 1, k):
                 # One wall seen at a slant, or an opening in it that both beams miss.
                 if abs(a - b) > 1.0 and count < out.shape[0]:
-                    out[count, 0], out[count, 1], out[count, 2] = 0.5 * (a + b), k + 0.5, 1.0
+                    out[count, 0], out[count, 1], out[count, 2] = 0.5 * (a + b), k + 0.5, DOUBTFUL
                     count += 1
                 continue
             # The longer beam passes the corner; points along it, a little off the corner.
@@ -182,7 +197,7 @@ def open_points(ranges, range_max, out):
                     dx, dy = ranges[j] * math.cos(j * spacing) - x, ranges[j] * math.sin(j * spacing) - y
                     aside = aside and dx * dx + dy * dy >= ASIDE**2
             if aside:
-                out[count, 0], out[count, 1], out[count, 2] = r, beam, 0.0
+                out[count, 0], out[count, 1], out[count, 2] = r, beam, kind
                 count += 1
             r += 0.6
     return count

@@ -27,7 +27,7 @@ LAG = 0.3
 """Share of the compass's error at a place that is taken to last until the next: its field changes slowly."""
 FIELD_REACH = 100.0
 """By so much less does each reading of the compass tell than its noise says: its field is alike over metres."""
-TENSION = 0.3
+TENSION = 0.5
 """Metres by which returns have pulled at the track before it is spread over the places in between."""
 
 
@@ -63,7 +63,7 @@ class Track:
         self._compass: float | None = None
         self._bias = 0.0  # of the compass, as the scans have it
         self._wander = 0.0  # mean squared error of its turns from place to place
-        self._tension = 0.0
+        self._tension = np.zeros(2)
 
     @property
     def compass(self) -> float:
@@ -104,7 +104,7 @@ class Track:
             if self._fits(found):
                 self._add_edge(last, places.count, odometry, np.diag(STEP_SPREAD**-2))
                 self._add_edge(known[0], places.count, found.relative, found.information)
-                self._tension += math.hypot(*(found.pose[:2] - expected[:2]))
+                self._tension += found.pose[:2] - expected[:2]
                 self._move(found.pose)
                 return
         found = match(places, last, scan, expected, STEP_SPREAD, self.range_max)
@@ -140,7 +140,7 @@ class Track:
 
     def relax(self, places: Places) -> None:
         """Mend all places and the pose, if returns have pulled at the track since that was done last."""
-        if self._tension > TENSION:
+        if math.hypot(*self._tension) > TENSION:
             self._mend(places)
 
     def _mend(self, places: Places) -> None:
@@ -156,4 +156,4 @@ class Track:
         )
         self.pose = compose(places.pose[-1], relative(last, self.pose))
         self._bias = wrap(self._bias + places.pose[-1, 2] - last[2])
-        self._tension = 0.0
+        self._tension = np.zeros(2)
