@@ -134,13 +134,16 @@ class KnnExplorer:
             begun = np.asarray(episode_start, np.bool_).reshape(len(laser))
             memories = [None if new else memory for new, memory in zip(begun, memories, strict=True)]
         kept = tuple(Memory(self.config, laser.shape[1]) if memory is None else memory for memory in memories)
-        actions = np.stack(
+        decisions = np.array(
             [self._decide(memory, laser[row], distance[row], compass[row]) for row, memory in enumerate(kept)]
         )
+        actions = drive_actions(decisions[:, :2], self.action_type, decisions[:, 2], decisions[:, 3])
         return (actions[0] if single else actions), kept
 
-    def _decide(self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray) -> np.ndarray:
-        """Take one robot's decision: the paper's Steps 1 to 6."""
+    def _decide(
+        self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray
+    ) -> tuple[float, float, float, float]:
+        """Take one robot's decision, the paper's Steps 1 to 6: speed, turning rate, claim and match."""
         places, track, pilot = memory.places, memory.track, memory.pilot
         self._sense(memory, laser, distance, compass)
         # Steps 2 to 4: a change of direction raises the new direction's indicator, and begins a group.
@@ -169,9 +172,10 @@ class KnnExplorer:
             memory.since_choice += 1
         memory.steps += 1
         speed, turn = pilot.drive(track.pose, memory.scan)
-        if match is not None:
-            memory.claims.append((memory.steps, match))
-        return self._action(speed, turn, match, memory.steps)
+        if match is None:
+            return speed, turn, -1.0, MATCH_START
+        memory.claims.append((memory.steps, match))
+        return speed, turn, 1.0, 2 * match / memory.steps - 1
 
     def _sense(self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray) -> None:
         memory.earlier = [(memory.scan.copy(), memory.track.pose.copy()), *memory.earlier[:1]]
@@ -272,8 +276,3 @@ class KnnExplorer:
             order[~areas.unbounded] = np.inf
         memory.on_list = bool(np.isfinite(order).any())
         return order
-
-    def _action(self, speed: float, turn: float, match: int | None, steps: int) -> np.ndarray:
-        claim = -1.0 if match is None else 1.0
-        when = MATCH_START if match is None else 2 * match / steps - 1
-        return drive_actions(np.array([[speed, turn]]), self.action_type, np.array([claim]), np.array([when]))[0]

@@ -11,11 +11,14 @@ from agents.navigation.open_areas import DETOUR, OpenAreas
 from agents.navigation.places import Places, route
 from agents.navigation.poses import distances, wrap, wrap_all
 from agents.navigation.scans import DOUBTFUL, clear_beam, clear_lengths
+from cyclic_env.compiled import compiled
 
 HALF_WIDTH = 0.31
 """Metres: the robot's radius, and a little air."""
 LOOKAHEAD = 3.0
 """Metres along its way that the robot cuts short at most; more would cut corners that the way goes round."""
+PASSED = 0.6
+"""Metres from a point of its way at which the robot makes for the next."""
 TURN_COST = 1.5
 """Metres of way that a radian of turning is worth, so that the robot goes on rather than back."""
 DOUBT_COST = 6.0
@@ -139,17 +142,32 @@ class Pilot:
             return 0.0, 0.0
         self._waited += 1
         clear_lengths(scan, HALF_WIDTH, self._clear)
-        ahead = self.way[:60]
-        dx, dy = ahead[:, 0] - pose[0], ahead[:, 1] - pose[1]
-        away = np.hypot(dx, dy)
-        bearings = np.arctan2(dy, dx) - pose[2]
-        beams = np.rint(bearings * (len(scan) / math.tau)).astype(np.int64) % len(scan)
-        free = np.flatnonzero((away < self._clear[beams] + 0.3) & (away < LOOKAHEAD))
-        target = int(free[-1]) if len(free) else 0
-        if away[target] < 0.6 and target < len(ahead) - 1:
-            target += 1
+        target, bearing, away = look_ahead(self.way, pose, self._clear)
         self.way = self.way[target:]
-        return steer(self._clear, wrap(float(bearings[target])), float(away[target]))
+        return steer(self._clear, bearing, away)
+
+
+@compiled
+def look_ahead(way, pose, clear):
+    """Return the farthest point of a way `(m, 2)` to which the way is clear, its bearing and its distance.
+
+    Points within reach of the robot are passed over; where no way is clear, the first point is taken.
+    """
+    spacing = 2 * math.pi / clear.shape[0]
+    target = 0
+    for k in range(way.shape[0]):
+        dx, dy = way[k, 0] - pose[0], way[k, 1] - pose[1]
+        away = math.sqrt(dx * dx + dy * dy)
+        beam = round((math.atan2(dy, dx) - pose[2]) / spacing) % clear.shape[0]
+        if away < LOOKAHEAD and away < clear[beam] + 0.3:
+            target = k
+    dx, dy = way[target, 0] - pose[0], way[target, 1] - pose[1]
+    if dx * dx + dy * dy < PASSED**2 and target < way.shape[0] - 1:
+        target += 1
+        dx, dy = way[target, 0] - pose[0], way[target, 1] - pose[1]
+    bearing = math.atan2(dy, dx) - pose[2]
+    bearing -= 2 * math.pi * math.floor((bearing + math.pi) / (2 * math.pi))
+    return target, bearing, math.sqrt(dx * dx + dy * dy)
 
 
 def steer(clear: np.ndarray, bearing: float, distance: float) -> tuple[float, float]:
