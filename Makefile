@@ -6,8 +6,8 @@ PIP := $(BIN)/pip install --disable-pip-version-check --quiet
 
 .PHONY: demo test lint bench clean
 
-demo: $(VENV)/.run ## Drive Killian Court, write the figures, print the scores
-	$(BIN)/python scripts/demo.py
+demo: $(VENV)/.run ## Let the explorer drive Killian Court, write the figures, print the scores
+	$(BIN)/python scripts/run_knn.py
 
 test: $(VENV)/.dev ## Run all tests
 	$(BIN)/python -m pytest

@@ -1,10 +1,11 @@
 """Policies for CyclicLoop: they see observations only, never an info, never the inside of the environment.
 
-Scripted ones come by name from `make_agent`; learned ones from `agents.training`, which needs the extra ``train``.
+The explorer and scripted ones come by name from `make_agent`; learned ones from `agents.training`, which needs the
+extra ``train``.
 """
 
 from __future__ import annotations
 
-from agents.registry import agent_names, make_agent
+from agents.registry import agent_names, baseline_names, make_agent
 
-__all__ = ["agent_names", "make_agent"]
+__all__ = ["agent_names", "baseline_names", "make_agent"]

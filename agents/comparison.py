@@ -1,4 +1,4 @@
-"""Evaluate agents side by side: scripted ones by name, trained ones by the file of their model."""
+"""Evaluate agents side by side: the explorer and scripted ones by name, trained ones by the file of their model."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Contestant:
 
 
 def contestant(name: str, action_type: ActionType | None = None) -> Contestant:
-    """Return the scripted agent of that name, or the model in that file or folder.
+    """Return the agent of that name, or the model in that file or folder.
 
     Parameters
     ----------

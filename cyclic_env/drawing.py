@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from cyclic_env.colours import AMBER, FLOOR, INK, RIGHT, WRONG, Colour
 from cyclic_env.errors import ConfigError
 
 
@@ -43,20 +44,11 @@ except ImportError as error:
         'rendering needs pygame-ce, which is missing; pip install "cyclic-loop[render]", or leave out render_mode.'
     ) from error
 
-PAPER, INK, FAINT, RULE = (250, 250, 248), (38, 45, 56), (120, 128, 138), (214, 217, 221)
-SOLID, WALL, FLOOR, SEEN = (226, 229, 233), (62, 71, 84), (250, 250, 248), (205, 226, 240)
-PATH_OLD, PATH_NEW = (150, 176, 208), (24, 78, 152)
-AMBER, BEAM = (246, 170, 28), (255, 198, 64)
-RIGHT, WRONG = (0, 138, 98), (206, 32, 52)
-"""Of claims. For the colour-blind they differ in lightness too, and in shape: a disc with a tick, a cross."""
-
 MARK = 7
 """Radius of a mark, pixels; that of a claim that closed a new cycle is 2 larger."""
 SPRITE_ZOOM = 4
 """How many times larger a mark is drawn before it is scaled down, which smooths its edges."""
 TITLE_SIZE, TEXT_SIZE, LABEL_SIZE = 21, 18, 15
-
-Colour = tuple[int, int, int]
 
 
 @dataclass(frozen=True, slots=True)

@@ -202,6 +202,13 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         """Return the true way since the reset, `(t + 1, 3)`: x, y and path length, metres."""
         return self.engine.trajectory(0)
 
+    def claims(self) -> np.ndarray:
+        """Return the judged claims since the reset, in order: `(n,)` records of `cyclic_env.loop_closure.CLAIM`.
+
+        Their places are ``trajectory()[claims["step"]]`` and, but for a match of -1, ``trajectory()[claims["match"]]``.
+        """
+        return self.engine.claims(0)
+
     def seen_cells(self) -> np.ndarray:
         """Return what has been seen as a picture `(rows, columns)` int8, south first: -1 not free, 0 unseen, 1 seen."""
         return self.engine.seen_cells(0)

@@ -16,20 +16,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 
+from cyclic_env.colours import AMBER, BEAM, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SEEN, WRONG
 from cyclic_env.drawing import (
-    AMBER,
-    BEAM,
-    FAINT,
-    FLOOR,
-    INK,
     LABEL_SIZE,
     MARK,
-    PATH_NEW,
-    PATH_OLD,
-    RIGHT,
-    SEEN,
     TEXT_SIZE,
-    WRONG,
     View,
     blit_middle,
     cross_mark,

@@ -12,18 +12,11 @@ from functools import lru_cache
 import numpy as np
 import shapely
 
+from cyclic_env.colours import FAINT, INK, PAPER, PATH_NEW, RULE, SEEN, SOLID, WALL
 from cyclic_env.drawing import (
-    FAINT,
-    INK,
     LABEL_SIZE,
     MARK,
-    PAPER,
-    PATH_NEW,
-    RULE,
-    SEEN,
-    SOLID,
     TITLE_SIZE,
-    WALL,
     View,
     blit_middle,
     cross_mark,

@@ -233,6 +233,10 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         """Return a row's true way since its reset, `(t + 1, 3)`: x, y and path length, metres."""
         return self.engine.trajectory(row)
 
+    def claims(self, row: int) -> np.ndarray:
+        """Return a row's judged claims; see `CyclicLoopEnv.claims`."""
+        return self.engine.claims(row)
+
     def seen_cells(self, row: int) -> np.ndarray:
         """Return what a row has seen; see `CyclicLoopEnv.seen_cells`."""
         return self.engine.seen_cells(row)

@@ -1,4 +1,4 @@
-"""Score agents side by side: scripted ones by name, trained ones by the file or folder of their model."""
+"""Score agents side by side: the explorer and scripted ones by name, trained ones by the file or folder of a model."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import re
 from collections.abc import Iterator, Sequence
 from itertools import groupby
 
-from agents import agent_names
+from agents import agent_names, baseline_names
 from agents.comparison import compare
 from cyclic_env import __version__, map_names
 from cyclic_env.errors import ConfigError, CyclicLoopError
@@ -26,7 +26,7 @@ from cyclic_env.evaluation import Evaluation, format_table, table_notes
 EXAMPLES = """agents by name: {names}
 
 examples:
-  python scripts/evaluate.py circling circling+claims --map ring
+  python scripts/evaluate.py knn knn_paper circling --map ring
   python scripts/evaluate.py out/ppo_ring random --noise typical --episodes 20 --json out/scores.json
   python scripts/evaluate.py --all-baselines --markdown
 
@@ -42,7 +42,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         formatter_class=argparse.RawDescriptionHelpFormatter,
     )
     parser.add_argument("agents", nargs="*", metavar="MODEL_OR_NAME", help="zip or folder of a model, or agent by name")
-    parser.add_argument("--all-baselines", action="store_true", help="all agents by name, on all shipped floor plans")
+    parser.add_argument("--all-baselines", action="store_true", help="all that know nothing, on all shipped plans")
     parser.add_argument(
         "--map", help="floor plan, or several with commas between (default: the model's, or killian_court)"
     )
@@ -98,7 +98,7 @@ def chosen_evaluations(args: argparse.Namespace) -> Iterator[Evaluation]:
     if args.json:
         check_writable(args.json)
     yield from compare(
-        agent_names() if args.all_baselines else args.agents,
+        baseline_names() if args.all_baselines else args.agents,
         maps=args.map.split(",") if args.map else map_names() if args.all_baselines else (),
         action_type=args.action_type,
         noise=args.noise,

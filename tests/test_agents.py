@@ -1,4 +1,4 @@
-"""Scripted agents: the shape of their calls, where they drive, and what their claims are worth."""
+"""Agents by name: the shape of their calls; where the scripted ones drive, and what their claims are worth."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import pytest
 from scipy.spatial import cKDTree
 from stable_baselines3.common.evaluation import evaluate_policy
 
-from agents import agent_names, make_agent
+from agents import agent_names, baseline_names, make_agent
 from agents.sb3 import CyclicLoopVecEnv
 from agents.scripted import first_free_bearing, uniform, without_outliers
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopVectorEnv, FloorPlan, load_floor_plan, map_names
@@ -22,7 +22,7 @@ from cyclic_env.evaluation import rollout
 STEPS = 500
 """Of a short episode: a lap and a half of a block."""
 
-DRIVES = tuple(name for name in agent_names() if "+" not in name)
+DRIVES = tuple(name for name in baseline_names() if "+" not in name)
 
 
 def drive(
@@ -228,10 +228,10 @@ def test_no_agent_closes_more_cycles_than_it_went_round(map_name: str, action_ty
 
 @pytest.fixture(scope="module")
 def scores() -> dict[tuple[str, str], list[float]]:
-    """Return the returns of every agent on every shipped plan in short episodes; the random ones have two."""
+    """Return the returns of every baseline on every shipped plan in short episodes; the random ones have two."""
     returns = {}
     for map_name in map_names():
-        for name in agent_names():
+        for name in baseline_names():
             count = 2 if name.startswith("random") else 1
             env = CyclicLoopVectorEnv(count, map_name, step_budget=STEPS, autoreset_mode="SAME_STEP")
             returns[map_name, name] = [record["return"] for record in rollout(make_agent(name), env, range(count))]
@@ -243,7 +243,7 @@ def scores() -> dict[tuple[str, str], list[float]]:
 def test_standing_still_is_nowhere_the_best_where_there_is_a_cycle(
     map_name: str, scores: dict[tuple[str, str], list[float]]
 ) -> None:
-    best = max(np.mean(scores[map_name, name]) for name in agent_names() if name != "standing_still")
+    best = max(np.mean(scores[map_name, name]) for name in baseline_names() if name != "standing_still")
     assert best > scores[map_name, "standing_still"][0]
 
 

@@ -270,7 +270,7 @@ def test_a_refused_start_in_a_pool_leaves_both_faces_as_they_were() -> None:
 
 def test_questions_about_an_episode_before_the_first_one_are_refused() -> None:
     env = CyclicLoopEnv(["ring", "grid"])
-    for question in (lambda: env.floor_plan, lambda: env.step_budget, env.trajectory, env.seen_cells):
+    for question in (lambda: env.floor_plan, lambda: env.step_budget, env.trajectory, env.claims, env.seen_cells):
         with pytest.raises(CyclicLoopError, match="call reset"):
             question()
     for question in (env.engine.claims, env.engine.trajectory, env.engine.seen_cells):
@@ -289,7 +289,7 @@ def test_a_picture_before_the_first_reset_is_refused(face: Any, render_mode: str
 def test_a_question_about_a_row_that_there_is_not_is_refused(row: Any) -> None:
     env = CyclicLoopVectorEnv(2, "ring")
     env.reset(seed=0)
-    for question in (env.floor_plan, env.trajectory, env.seen_cells, env.engine.claims):
+    for question in (env.floor_plan, env.trajectory, env.claims, env.seen_cells, env.engine.claims):
         with pytest.raises(CyclicLoopError, match="a whole number from 0 to 1"):
             question(row)
 

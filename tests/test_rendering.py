@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 import shapely
 
+from cyclic_env.colours import AMBER, RIGHT, WRONG
 from cyclic_env.env import CyclicLoopEnv
 from cyclic_env.errors import ConfigError, UsageError
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan
@@ -21,8 +22,7 @@ from cyclic_env.vector_env import CyclicLoopVectorEnv
 
 pygame = pytest.importorskip("pygame")
 
-from cyclic_env.drawing import AMBER, RIGHT, WRONG  # noqa: E402 (they need pygame)
-from cyclic_env.rendering import Renderer  # noqa: E402
+from cyclic_env.rendering import Renderer  # noqa: E402 (they need pygame)
 from cyclic_env.scene import FOOTER, HEADER, SIZE_MAX, Scene, canvas_size, scene_of  # noqa: E402
 
 LAP = [(24.0, 0.0), (24.0, 14.0), (0.0, 14.0), (0.0, 0.0), (10.0, 0.0)]

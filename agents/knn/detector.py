@@ -75,10 +75,10 @@ class Detector:
         lengths : (n,)
             Of the ways from the last place, metres.
         """
-        if not self.config.match_scans:
-            return self._by_vote(places)
         if self.config.detector == "position":
             return self._by_position(places, lengths)
+        if not self.config.match_scans:
+            return self._by_vote(places)
         away = distances(places.pose, track.pose)
         back = returned(places.path, away)
         around = lengths[back] <= away[back] + DETOUR
@@ -128,7 +128,10 @@ class Detector:
         """Ask by the paper's rule: the vote among tables of the same direction, and a threshold."""
         direction, group = places.direction[-1], places.group[-1]
         tables = np.flatnonzero((places.direction == direction) & (places.group != group))
-        rows, similarities = self._vote(places, tables, np.zeros(0, np.int64))
+        if self.config.detector == "both":
+            gate = np.clip(DRIFT * (places.path[-1] - places.path[tables]), DRIFT_MIN, DRIFT_MAX)
+            tables = tables[distances(places.pose[tables], places.pose[-1]) < gate]
+        rows, similarities = self._vote(places, tables, tables[:0])
         if len(rows) and similarities[0] > self.config.threshold:
             return Detection(visited=int(rows[0]))
         return Detection()

@@ -1,0 +1,303 @@
+"""Let the KNN explorer drive a building once, by default Killian Court; write a figure, an animation and the scores."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # agents are not installed, but run from the checkout
+if __name__ == "__main__":  # Ctrl-C while the packages load
+    signal.signal(signal.SIGINT, lambda *_: (print("\nrun_knn.py: nothing done yet", file=sys.stderr), os._exit(130)))
+
+import argparse
+import json
+import math
+import statistics
+import time
+from collections.abc import Sequence
+from itertools import combinations_with_replacement
+from typing import Any
+
+import numpy as np
+
+from agents.knn.config import DETECTORS, PRESETS, preset
+from agents.knn.explorer import KnnExplorer, Memory
+from agents.knn.similarity import MEASURES
+from cyclic_env import CyclicLoopEnv, CyclicLoopError, map_names
+from cyclic_env.colours import AMBER, BEAM, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SEEN, SOLID, WALL, WRONG
+from cyclic_env.errors import ConfigError
+from cyclic_env.evaluation import ProgressLine
+
+FRAMES_MAX = 250
+"""Frames of an animation of the longest episode; one that ends earlier has fewer."""
+FRAME_WIDTH = 720
+"""Pixels."""
+FRAME_COLOURS = (FLOOR, INK, FAINT, SOLID, WALL, SEEN, PATH_OLD, PATH_NEW, AMBER, BEAM, RIGHT, WRONG)
+"""What a frame is made of, and the means of any two of these."""
+FRAME_S, LAST_FRAME_S = 0.08, 3.0
+"""Seconds for which a frame is shown, and the last."""
+FIGURE_DPI = 150
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--map", default="killian_court", help=f"{', '.join(map_names())}, or a file")
+    parser.add_argument("--preset", default="extended", help=f"{' or '.join(PRESETS)} (default extended)")
+    parser.add_argument("--detector", help=f"{', '.join(DETECTORS)} (default: the preset's)")
+    parser.add_argument("--measure", help=f"{', '.join(MEASURES)} (default: the preset's)")
+    parser.add_argument("--noise", default="ideal", help="ideal, calibrated, typical or poor (default ideal)")
+    parser.add_argument("--seed", type=int, default=0, help="of noise and random start (default 0)")
+    parser.add_argument("--random-start", action="store_true", help="draw the start (default: the plan's own)")
+    parser.add_argument("--out", type=Path, default=Path("out/knn"), help="folder for the files (default out/knn)")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="for the metrics (default: metrics.json in --out)")
+    parser.add_argument("--human", action="store_true", help="show the run in a window")
+    parser.add_argument("--no-gif", action="store_true", help="write no animation, which takes half of the time")
+    args = parser.parse_args(arguments)
+    picture, metrics_file = args.out / "run.png", args.json or args.out / "metrics.json"
+    animation = None if args.no_gif else args.out / "run.gif"
+    try:
+        import cyclic_env.plotting  # noqa: F401 (before the run: it says what to do where matplotlib is missing)
+
+        changes = {name: value for name in ("detector", "measure") if (value := getattr(args, name)) is not None}
+        explorer = KnnExplorer(preset(args.preset, **changes))
+        render_mode = "human" if args.human else None
+        env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start, render_mode=render_mode)
+        for path in filter(None, (picture, animation, metrics_file)):
+            check_writable(path)
+        run = Run(env, Film(env) if animation else None)
+        run.drive(explorer, args.seed)
+        if not run.steps:
+            print("\nrun_knn.py: stopped before the first step, so there is nothing to keep.", file=sys.stderr)
+            return 130
+        settings = {"preset": args.preset, "detector": explorer.config.detector, "measure": explorer.config.measure}
+        settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
+        metrics = run.metrics() | settings
+        print(score_table(metrics))
+        metrics_file.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+        draw_run(run, metrics, picture)
+        if run.film is not None and animation is not None:
+            run.film.write(animation)
+    except (CyclicLoopError, OSError) as error:
+        print(f"run_knn.py: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nrun_knn.py: stopped; not all files were written.", file=sys.stderr)
+        return 130
+    kept = ", ".join(str(path) for path in (picture, animation, metrics_file) if path)
+    if run.ending == "Ctrl-C":
+        print(f"run_knn.py: stopped after {run.steps:,} steps; what was run is in {kept}.", file=sys.stderr)
+        return 130
+    print(f"\nwritten: {kept}")
+    return 0
+
+
+class Film:
+    """An animation of a run: its pictures, few enough, small enough and of few enough colours.
+
+    Parameters
+    ----------
+    env : CyclicLoopEnv
+    """
+
+    def __init__(self, env: CyclicLoopEnv) -> None:
+        from PIL import Image
+
+        from cyclic_env.rendering import draw_picture, pygame
+
+        self._draw_picture, self._pygame = draw_picture, pygame
+        self._env = env
+        self._frames: list[Any] = []
+        self._palette = Image.new("P", (1, 1))
+        self._palette.putpalette(
+            [
+                sum(pair) // 2
+                for a, b in combinations_with_replacement(FRAME_COLOURS, 2)
+                for pair in zip(a, b, strict=True)
+            ]
+        )
+        self._taken = -1
+
+    def take(self, step: int, *, last: bool = False) -> None:
+        """Take the picture of a step, if it is one of those to be shown or the last."""
+        from PIL import Image
+
+        if step == self._taken or (step % math.ceil(self._env.step_budget / FRAMES_MAX) and not last):
+            return
+        self._taken = step
+        surface = self._draw_picture(self._env.engine, 0)
+        picture = Image.frombytes("RGB", surface.get_size(), self._pygame.image.tobytes(surface, "RGB"))
+        size = (FRAME_WIDTH, round(FRAME_WIDTH * picture.height / picture.width))
+        picture = picture.resize(size, Image.Resampling.BOX)  # keeps areas of one colour so, which makes the file small
+        self._frames.append(picture.quantize(palette=self._palette, dither=Image.Dither.NONE))
+
+    def write(self, path: Path) -> None:
+        """Write the animation, which runs again and again."""
+        first, *others = self._frames
+        durations = [round(1000 * FRAME_S)] * len(others) + [round(1000 * LAST_FRAME_S)]
+        first.save(path, save_all=True, append_images=others, duration=durations, loop=0, optimize=False)
+
+
+class Run:
+    """One episode of an explorer, as far as it has come.
+
+    Parameters
+    ----------
+    env : CyclicLoopEnv
+    film : Film, optional
+        That is made of it.
+
+    Attributes
+    ----------
+    info : dict
+        The last one.
+    memory : Memory or None
+        The explorer's; None before the first step.
+    total : float
+        Of the rewards.
+    ending : str
+        Why it ended.
+    env_s, agent_s : list of float
+        Seconds of each step, in the environment and in the agent.
+    """
+
+    def __init__(self, env: CyclicLoopEnv, film: Film | None = None) -> None:
+        self.env = env
+        self.film = film
+        self.info: dict[str, Any] = {}
+        self.memory: Memory | None = None
+        self.total = 0.0
+        self.ending = ""
+        self.env_s: list[float] = []
+        self.agent_s: list[float] = []
+
+    @property
+    def steps(self) -> int:
+        """Steps taken."""
+        return len(self.env_s)
+
+    def drive(self, explorer: KnnExplorer, seed: int) -> None:
+        """Run the episode to its end, until there is nothing left to explore, or up to Ctrl-C."""
+        progress = ProgressLine()
+        try:
+            observation, self.info = self.env.reset(seed=seed)
+            state = None
+            while not self.ending:
+                if self.film is not None:
+                    self.film.take(self.steps)
+                began = time.perf_counter()
+                action, state = explorer.predict(observation, state)
+                decided = time.perf_counter()
+                observation, reward, terminated, truncated, self.info = self.env.step(action)
+                self.env_s.append(time.perf_counter() - decided)
+                self.agent_s.append(decided - began)
+                self.total += reward
+                (self.memory,) = state
+                if terminated:
+                    self.ending = "success"
+                elif truncated:
+                    self.ending = "step budget spent"
+                elif self.memory.done:
+                    self.ending = "nothing left to explore"
+                progress.show(
+                    f"step {self.steps:,}: {self.info['coverage']:.0%} seen, {self.info['cycles_closed']} of "
+                    f"{self.info['cycles_total']} cycles closed, {self.info['false_claims']} false claims"
+                )
+        except KeyboardInterrupt:
+            self.ending = "Ctrl-C"
+        progress.clear()
+        if self.film is not None and self.steps:
+            self.film.take(self.steps, last=True)
+
+    def metrics(self) -> dict[str, Any]:
+        """Return the last info's scalars and what else there is to say of the run, as plain values."""
+        assert self.memory is not None
+        plan = self.env.floor_plan
+        tour = plan.closed_tour()
+        return {
+            "map": plan.name,
+            **{name: value for name, value in self.info.items() if name != "reward_terms"},
+            "steps": self.steps,
+            "return": self.total,
+            "ending": self.ending,
+            "path_over_tour": None if math.isnan(tour) else self.info["path_length_m"] / tour,
+            "groups": len(self.memory.groups),
+            "rows": self.memory.places.count,
+            "rows_compared": self.memory.detector.compared,
+            "open_areas": len(self.memory.areas.listed),
+            "seconds_per_step_env": statistics.fmean(self.env_s),
+            "seconds_per_step_agent": statistics.fmean(self.agent_s),
+            "seconds_per_step_agent_median": statistics.median(self.agent_s),
+        }
+
+
+def check_writable(path: Path) -> None:
+    """Check, before the run, that the file can be written.
+
+    Raises
+    ------
+    ConfigError
+        If it can't.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.open("a").close()
+    except OSError as error:
+        raise ConfigError(f"can't write to {path}: {error.strerror}.") from error
+
+
+def score_table(metrics: dict[str, Any]) -> str:
+    """Return the scores, one a line."""
+    path = f"{metrics['path_length_m']:,.0f} m"
+    if metrics["path_over_tour"] is not None:
+        path += f", {metrics['path_over_tour']:.2f} times the shortest tour of all corridors"
+    times = [1000 * metrics[f"seconds_per_step_{name}"] for name in ("env", "agent", "agent_median")]
+    rows = {
+        "cycles closed": f"{metrics['cycles_closed']} of {metrics['cycles_total']}",
+        "false claims": f"{metrics['false_claims']} of {metrics['claims']}",
+        "revisits recognised": f"{metrics['revisits_recognised']} of {metrics['revisits']}",
+        "seen": f"{metrics['coverage']:.1%}",
+        "path": path,
+        "return": f"{metrics['return']:.1f}",
+        "collisions": f"{metrics['collisions']}",
+        "steps": f"{metrics['steps']:,}, ended by: {metrics['ending']}",
+        "groups": f"{metrics['groups']} of {metrics['rows']:,} rows, {metrics['rows_compared']:,} comparisons of rows",
+        "open areas": f"{metrics['open_areas']}",
+        "a step takes": f"env {times[0]:.2f} ms, agent {times[1]:.2f} ms (median {times[2]:.3f} ms)",
+    }
+    return "\n".join(f"{name:>20}  {value}" for name, value in rows.items())
+
+
+def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
+    """Write the figure of a run: true path, groups, open areas and claims, all where they truly were."""
+    from cyclic_env.plotting import add_legend, draw_claims, draw_groups, draw_open_areas, draw_path, plan_figure
+
+    assert run.memory is not None
+    plan, way, memory = run.env.floor_plan, run.env.trajectory(), run.memory
+    scores = [
+        f"{metrics['cycles_closed']} of {metrics['cycles_total']} cycles closed",
+        f"{metrics['false_claims']} false claims",
+        f"{metrics['revisits_recognised']} of {metrics['revisits']} revisits recognised",
+        f"{metrics['coverage']:.1%} seen",
+        f"{metrics['path_length_m']:,.0f} m driven",
+    ]
+    if metrics["path_over_tour"] is not None:
+        scores[-1] += f" ({metrics['path_over_tour']:.2f} tours)"
+    scores.append(f"{metrics['noise']} sensors, {metrics['preset']}, {metrics['detector']}")
+    figure, axes = plan_figure(plan, plan.title or plan.name, "   ".join(scores))
+    places = way[memory.places.step, :2]
+    draw_path(axes, way)
+    draw_groups(axes, [(group.name, group.direction, places[group.rows]) for group in memory.groups])
+    areas = memory.areas.listed
+    positions = np.array([places[area.place] + area.offset for area in areas]).reshape(-1, 2)
+    draw_open_areas(axes, positions, [area.number for area in areas], [area.state for area in areas])
+    draw_claims(axes, way, run.env.claims())
+    add_legend(axes)
+    figure.savefig(path, dpi=FIGURE_DPI)
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.exit(main())
