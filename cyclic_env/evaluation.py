@@ -14,6 +14,7 @@ from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
+from pathlib import Path
 from typing import Any, Protocol, TextIO
 
 import numpy as np
@@ -479,6 +480,21 @@ def table_notes(evaluations: Sequence[Evaluation]) -> list[str]:
         "Precision and recall: of all episodes together; -: nothing to judge."
     )
     return notes
+
+
+def check_writable(path: Path) -> None:
+    """Check, before hours of work, that the file can be written.
+
+    Raises
+    ------
+    ConfigError
+        If it can't.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.open("a").close()
+    except OSError as error:
+        raise ConfigError(f"can't write to {path}: {error.strerror}.") from error
 
 
 class ProgressLine:

@@ -21,7 +21,7 @@ from agents import agent_names, baseline_names
 from agents.comparison import compare
 from cyclic_env import __version__, map_names
 from cyclic_env.errors import ConfigError, CyclicLoopError
-from cyclic_env.evaluation import Evaluation, format_table, table_notes
+from cyclic_env.evaluation import Evaluation, check_writable, format_table, table_notes
 
 EXAMPLES = """agents by name: {names}
 
@@ -127,21 +127,6 @@ def parse_seeds(seeds: str | None, episodes: int | None) -> range:
     if not ends:
         raise ConfigError(f"--seeds is {seeds!r}; expected A:B, two whole numbers of at least 0.")
     return range(int(ends[1]), int(ends[2]))
-
-
-def check_writable(path: Path) -> None:
-    """Check, before hours of work, that the file can be written.
-
-    Raises
-    ------
-    ConfigError
-        If it can't.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.open("a").close()
-    except OSError as error:
-        raise ConfigError(f"can't write to {path}: {error.strerror}.") from error
 
 
 def write_json(evaluations: Sequence[Evaluation], path: Path) -> None:

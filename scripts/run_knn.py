@@ -27,8 +27,7 @@ from agents.knn.explorer import KnnExplorer, Memory
 from agents.knn.similarity import MEASURES
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, map_names
 from cyclic_env.colours import AMBER, BEAM, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SEEN, SOLID, WALL, WRONG
-from cyclic_env.errors import ConfigError
-from cyclic_env.evaluation import ProgressLine
+from cyclic_env.evaluation import ProgressLine, check_writable
 
 FRAMES_MAX = 250
 """Frames of an animation of the longest episode; one that ends earlier has fewer."""
@@ -231,21 +230,6 @@ class Run:
             "seconds_per_step_agent": statistics.fmean(self.agent_s),
             "seconds_per_step_agent_median": statistics.median(self.agent_s),
         }
-
-
-def check_writable(path: Path) -> None:
-    """Check, before the run, that the file can be written.
-
-    Raises
-    ------
-    ConfigError
-        If it can't.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.open("a").close()
-    except OSError as error:
-        raise ConfigError(f"can't write to {path}: {error.strerror}.") from error
 
 
 def score_table(metrics: dict[str, Any]) -> str:

@@ -162,13 +162,14 @@ def test_rows_of_a_batch_are_explored_as_alone() -> None:
         one, *_ = alone.step(action)
 
 
+def of_two_robots() -> dict[str, np.ndarray]:
+    """Return an observation of two robots that stand three metres from all walls and face east."""
+    return {"laser": np.full((2, BEAMS), 3.0), "distance": np.zeros((2, 1)), "compass": np.array([[1.0, 0.0]] * 2)}
+
+
 def test_an_episode_that_begins_is_begun_with_an_empty_memory() -> None:
     explorer = KnnExplorer()
-    observation = {
-        "laser": np.full((2, BEAMS), 3.0),
-        "distance": np.zeros((2, 1)),
-        "compass": np.array([[1.0, 0.0]] * 2),
-    }
+    observation = of_two_robots()
     _, state = explorer.predict(observation)
     _, state = explorer.predict(observation, state, np.array([False, True]))
     assert [memory.steps for memory in state] == [2, 1]
@@ -235,11 +236,7 @@ def test_an_unknown_preset_is_refused_with_the_nearest_name() -> None:
 
 def test_a_state_of_another_batch_is_refused() -> None:
     explorer = KnnExplorer()
-    observation = {
-        "laser": np.full((2, BEAMS), 3.0),
-        "distance": np.zeros((2, 1)),
-        "compass": np.array([[1.0, 0.0]] * 2),
-    }
+    observation = of_two_robots()
     _, state = explorer.predict(observation)
     with pytest.raises(ConfigError, match="2 robots"):
         explorer.predict({name: value[:1] for name, value in observation.items()}, state)

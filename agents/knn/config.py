@@ -6,7 +6,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from agents.knn.similarity import measure_by_name
-from cyclic_env.errors import ConfigError, unknown_name
+from cyclic_env.config import checked_name, is_integer
+from cyclic_env.errors import ConfigError, shown
 
 DETECTORS = ("both", "knn", "position")
 ORDERS = ("nearest", "first in first out", "last in first out")
@@ -50,21 +51,19 @@ class ExplorerConfig:
     """Reach of the laser, metres."""
 
     def __post_init__(self) -> None:
-        if self.detector not in DETECTORS:
-            raise ConfigError(unknown_name("detector", self.detector, DETECTORS))
-        if self.order not in ORDERS:
-            raise ConfigError(unknown_name("order", self.order, ORDERS))
+        checked_name("detector", self.detector, DETECTORS)
+        checked_name("order", self.order, ORDERS)
         measure_by_name(self.measure)
         for name, least in (("neighbours", 1), ("sectors", 2)):
             value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int) or value < least:
-                raise ConfigError(f"{name} is {value!r}; expected a whole number of at least {least}.")
+            if not is_integer(value) or value < least:
+                raise ConfigError(f"{name} is {shown(value)}; expected a whole number of at least {least}.")
         for name in ("rounding", "row_spacing", "range_max"):
             value = getattr(self, name)
             if not isinstance(value, int | float) or not 0 < value < 1000:
-                raise ConfigError(f"{name} is {value!r}; expected metres above 0.")
+                raise ConfigError(f"{name} is {shown(value)}; expected metres above 0.")
         if not isinstance(self.threshold, int | float) or not -1 <= self.threshold <= 1:
-            raise ConfigError(f"threshold is {self.threshold!r}; expected a similarity, at most 1.")
+            raise ConfigError(f"threshold is {shown(self.threshold)}; expected a similarity, at most 1.")
 
 
 PRESETS: dict[str, ExplorerConfig] = {
@@ -89,10 +88,6 @@ def preset(name: str, **changes: Any) -> ExplorerConfig:
     ConfigError
         If there is no such preset or setting; the message lists them and the nearest.
     """
-    if name not in PRESETS:
-        raise ConfigError(unknown_name("preset", name, PRESETS))
-    known = ExplorerConfig.__dataclass_fields__
     for change in changes:
-        if change not in known:
-            raise ConfigError(unknown_name("setting", change, known))
-    return replace(PRESETS[name], **changes)
+        checked_name("setting", change, ExplorerConfig.__dataclass_fields__)
+    return replace(PRESETS[checked_name("preset", name, PRESETS)], **changes)

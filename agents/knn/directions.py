@@ -34,7 +34,7 @@ def sector_features(ranges: np.ndarray, sectors: int, rounding: float) -> np.nda
     ranges : (beams,)
         Beam 0 straight ahead, counter-clockwise.
     sectors : int
-        Centred evenly from -90 to +90 degrees, and as wide as they are apart.
+        At least 2, centred evenly from -90 to +90 degrees, and as wide as they are apart.
     rounding : float
 
     Returns
@@ -43,11 +43,11 @@ def sector_features(ranges: np.ndarray, sectors: int, rounding: float) -> np.nda
         Looking ahead, and looking back.
     """
     n = len(ranges)
-    width = n / (2 * (sectors - 1)) if sectors > 1 else n / 2
+    width = n / (2 * (sectors - 1))
     features = np.empty((2, sectors))
     for side in range(2):
         for s in range(sectors):
-            centre = side * n / 2 - n / 4 + s * n / (2 * (sectors - 1)) if sectors > 1 else side * n / 2
+            centre = side * n / 2 - n / 4 + s * width
             first = math.ceil(centre - width / 2)
             last = math.ceil(centre + width / 2)
             features[side, s] = ranges[np.arange(first, last) % n].min()

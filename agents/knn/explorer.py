@@ -19,8 +19,8 @@ from agents.navigation.scan_matching import wall_normals
 from agents.navigation.scans import confirm, despeckle, fill, inside
 from agents.navigation.track import Track
 from agents.scripted import MATCH_START, drive_actions
-from cyclic_env.config import ACTION_TYPES, ActionType
-from cyclic_env.errors import ConfigError, unknown_name
+from cyclic_env.config import ACTION_TYPES, ActionType, checked_name
+from cyclic_env.errors import ConfigError
 
 FIRST_STEPS = 2
 """Steps of standing still at first: the scans that later ones are confirmed by."""
@@ -90,10 +90,8 @@ class KnnExplorer:
     """
 
     def __init__(self, config: ExplorerConfig | None = None, *, action_type: ActionType = "wheels") -> None:
-        if action_type not in ACTION_TYPES:
-            raise ConfigError(unknown_name("action type", action_type, ACTION_TYPES))
         self.config = preset("extended") if config is None else config
-        self.action_type: ActionType = action_type
+        self.action_type: ActionType = checked_name("action type", action_type, ACTION_TYPES)
 
     def predict(
         self,

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import rankdata
 
-from cyclic_env.errors import ConfigError, unknown_name
+from cyclic_env.config import checked_name
+from cyclic_env.errors import ConfigError
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,6 +130,4 @@ def measure_by_name(name: str) -> Measure:
     ConfigError
         If there is none; the message lists them and the nearest.
     """
-    if name not in MEASURES:
-        raise ConfigError(unknown_name("similarity measure", name, MEASURES))
-    return MEASURES[name]
+    return MEASURES[checked_name("similarity measure", name, MEASURES)]

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from agents.navigation.scans import SHORT_OF_REACH
 from cyclic_env.compiled import compiled
 
 CELL = 0.2
@@ -40,7 +41,7 @@ def draw_scan(ranges, range_max, x, y, heading, left, bottom, passes, ends):
             if 0 <= i < CELLS and 0 <= j < CELLS:
                 passes[i, j] += 1
             step += 0.7 * CELL
-        if r < range_max - 0.05:
+        if r < range_max - SHORT_OF_REACH:
             r += 0.05  # the surface is the near side of the wall
             i, j = math.floor(y0 + r * sin), math.floor(x0 + r * cos)
             if 0 <= i < CELLS and 0 <= j < CELLS:

@@ -13,6 +13,7 @@ import numpy as np
 
 from agents.navigation.places import Places
 from agents.navigation.poses import compose, relative
+from agents.navigation.scans import SHORT_OF_REACH
 from cyclic_env.compiled import compiled
 
 ROUNDS = 12
@@ -42,7 +43,7 @@ def wall_normals(ranges, range_max, normals):
             wall = True
             for i in range(k - reach, k + reach + 1):
                 r = ranges[i % n]
-                wall = wall and r < range_max - 0.05
+                wall = wall and r < range_max - SHORT_OF_REACH
                 mx += r * math.cos(i * spacing) / count
                 my += r * math.sin(i * spacing) / count
             if not wall:
@@ -105,7 +106,7 @@ def align(reference, normals, ranges, range_max, prior, spread, pose, hessian):
         used = 0
         for k in range(n):
             r = ranges[k]
-            if r >= range_max - 0.05:
+            if r >= range_max - SHORT_OF_REACH:
                 continue
             lx, ly = r * math.cos(k * spacing), r * math.sin(k * spacing)
             rx, ry = cos * lx - sin * ly, sin * lx + cos * ly
@@ -176,7 +177,7 @@ def agreement(reference, ranges, range_max, pose, tolerance):
     agree = against = 0
     for k in range(n):
         r = ranges[k]
-        if r >= range_max - 0.05:
+        if r >= range_max - SHORT_OF_REACH:
             continue
         lx, ly = r * math.cos(k * spacing), r * math.sin(k * spacing)
         x, y = pose[0] + cos * lx - sin * ly, pose[1] + sin * lx + cos * ly

@@ -14,6 +14,8 @@ import numpy as np
 
 from cyclic_env.compiled import compiled
 
+SHORT_OF_REACH = 0.05
+"""Metres: a range that is less short of the laser's reach than that met no wall."""
 ASIDE = 0.3
 """Metres that a point to drive to is off all walls: a little more than the robot's radius."""
 JUMP = 0.8
@@ -125,7 +127,7 @@ def settles(scans, poses, range_max, points, out):
             beam = (math.atan2(dy, dx) - poses[k, 2]) / spacing
             low = math.floor(beam)
             a, b = scans[k, low % beams], scans[k, (low + 1) % beams]
-            wall = max(a, b) < range_max - 0.05 and abs(a - b) <= JUMP
+            wall = max(a, b) < range_max - SHORT_OF_REACH and abs(a - b) <= JUMP
             distance = math.sqrt(dx * dx + dy * dy)
             beyond = distance - min(a, b)
             if beyond < (AT_WALL if wall else -0.15) or (distance < BESIDE and beyond < NEAR_SIGHT):
@@ -143,7 +145,7 @@ def _continues(ranges, range_max, k, step, far):
     along = math.sqrt((fx - x) ** 2 + (fy - y) ** 2)
     for reach in range(1, 12):
         i = (k + step * reach) % n
-        if ranges[i] >= range_max - 0.05:
+        if ranges[i] >= range_max - SHORT_OF_REACH:
             return False
         dx, dy = ranges[i] * math.cos(i * spacing) - x, ranges[i] * math.sin(i * spacing) - y
         base = math.sqrt(dx * dx + dy * dy)
@@ -165,7 +167,7 @@ def open_points(ranges, range_max, out):
     """
     n = ranges.shape[0]
     spacing = 2 * math.pi / n
-    free = range_max - 0.05
+    free = range_max - SHORT_OF_REACH
     count = 0
     for k in range(n):
         other = (k + 1) % n

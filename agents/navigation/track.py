@@ -70,8 +70,8 @@ class Track:
         """The last reading of the compass as a heading."""
         return 0.0 if self._compass is None else self._compass
 
-    def advance(self, distance: float, compass: np.ndarray) -> float:
-        """Take a reading of the distance meter and the compass `(2,)`; return the metres driven since the last."""
+    def advance(self, distance: float, compass: np.ndarray) -> None:
+        """Take a reading of the distance meter and of the compass `(2,)`."""
         heading = math.atan2(compass[1], compass[0])
         driven, self._distance = distance - self._distance, distance
         before = heading if self._compass is None else self._compass
@@ -81,7 +81,6 @@ class Track:
         self.pose[:2] += driven * np.array([math.cos(middle + self._bias), math.sin(middle + self._bias)])
         self.pose[2] = wrap(heading + self._bias)
         self.path += abs(driven)
-        return driven
 
     def localise(self, places: Places, scan: np.ndarray, lengths: np.ndarray) -> None:
         """Match a scan with the oldest place close by, or the last one, before the robot's place is added.
