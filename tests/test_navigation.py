@@ -17,7 +17,7 @@ from agents.navigation.pilot import steer
 from agents.navigation.places import CAPACITY, Places, route
 from agents.navigation.pose_graph import optimise
 from agents.navigation.poses import compose, distances, relative, wrap, wrap_all
-from agents.navigation.scan_matching import match, wall_normals
+from agents.navigation.scan_matching import match, wall_lines
 from agents.navigation.scans import (
     DOUBTFUL,
     clear_beam,
@@ -60,9 +60,9 @@ def places_at(plan: FloorPlan, poses: list[tuple[float, float, float]]) -> Place
     for step, pose in enumerate(poses):
         if step:
             path += math.hypot(pose[0] - poses[step - 1][0], pose[1] - poses[step - 1][1])
-        ranges, normals = seen(plan, *pose), np.empty((BEAMS, 2))
-        wall_normals(ranges, REACH, normals)
-        places.add(pose=pose, odometry=pose[:2], scan=ranges, normals=normals, step=step, path=path)
+        ranges, lines = seen(plan, *pose), np.empty((BEAMS, 3))
+        wall_lines(ranges, REACH, lines)
+        places.add(pose=pose, odometry=pose[:2], scan=ranges, lines=lines, step=step, path=path)
     return places
 
 
@@ -190,6 +190,19 @@ def test_scans_of_different_rooms_do_not_agree() -> None:
     assert found.agreement < 0.6
 
 
+def test_along_a_plain_corridor_a_match_stays_where_it_was_expected() -> None:
+    """There the ends tell the way across and the heading, and with noise nothing must be made of the way along."""
+    corridor, rng = plan_of((0, 0, 60, 2.4)), np.random.default_rng(0)
+    places = places_at(corridor, [(30.0, 1.2, 0.0)])
+    for _ in range(20):
+        ranges = np.minimum(seen(corridor, 30.4, 1.0, 0.1) + rng.normal(0, 0.03, BEAMS), REACH)
+        found = match(places, 0, ranges, np.array([30.0, 1.2, 0.05]), np.array([0.3, 0.3, 0.1]), REACH)
+        assert found.firmness == 0.0
+        assert found.pose[0] == pytest.approx(30.0, abs=0.02)
+        assert found.pose[1] == pytest.approx(1.0, abs=0.02)
+        assert found.pose[2] == pytest.approx(0.1, abs=0.01)
+
+
 # The graph of places.
 
 
@@ -270,10 +283,10 @@ def test_closing_a_loop_straightens_a_bent_track() -> None:
     for index, (stop, heading) in enumerate(zip(stops, headings, strict=True)):
         driven += 0.0 if index == 0 else 1.1 if index < 26 else 0.95
         track.advance(driven, np.array([math.cos(heading), math.sin(heading)]))
-        ranges, normals = seen(ring, *stop, heading), np.empty((BEAMS, 2))
-        wall_normals(ranges, REACH, normals)
+        ranges, lines = seen(ring, *stop, heading), np.empty((BEAMS, 3))
+        wall_lines(ranges, REACH, lines)
         track.localise(places, ranges, lengths)
-        row = places.add(pose=track.pose, scan=ranges, normals=normals, compass=track.compass)
+        row = places.add(pose=track.pose, scan=ranges, lines=lines, compass=track.compass)
         lengths, _ = places.ways_from(row)
     true = relative(np.array([*stops[0], headings[0]]), np.array([*stops[-1], headings[-1]]))
     before = math.hypot(*(relative(places.pose[0], places.pose[-1]) - true)[:2])
@@ -282,6 +295,26 @@ def test_closing_a_loop_straightens_a_bent_track() -> None:
     track.close(places, found)
     after = math.hypot(*(relative(places.pose[0], places.pose[-1]) - true)[:2])
     assert after < 0.3 * before
+
+
+def test_the_distance_meters_scale_is_learned_from_the_walls() -> None:
+    """It shows 4 % too much, along a corridor with niches and side corridors enough to tell the way driven."""
+    grid, rng = load_floor_plan("grid"), np.random.default_rng(0)
+    start, end = (
+        np.array(point) for point in max(grid.centrelines, key=lambda line: shapely.LineString(line).length)[:2]
+    )
+    along = (end - start) / math.hypot(*(end - start))
+    heading = math.atan2(along[1], along[0])
+    track, places, lengths = Track(REACH, match_scans=True), Places(BEAMS, 7), np.zeros(0)
+    for metres in range(25):
+        track.advance(1.04 * metres, np.array([math.cos(heading), math.sin(heading)]))
+        ranges, lines = seen(grid, *(start + (1.0 + metres) * along), heading), np.empty((BEAMS, 3))
+        ranges = np.clip(ranges + rng.normal(0, 0.02, BEAMS), 0.0, REACH)
+        wall_lines(ranges, REACH, lines)
+        track.localise(places, ranges, lengths)
+        row = places.add(pose=track.pose, scan=ranges, lines=lines, compass=track.compass)
+        lengths, _ = places.ways_from(row)
+    assert track.scale == pytest.approx(1 / 1.04, abs=0.005)
 
 
 # The open areas' list.
@@ -295,7 +328,7 @@ def test_a_side_corridor_is_listed_when_it_is_left_behind_and_struck_off_when_se
     everything = places_at(CROSSING, there + back + into)
     states: list[dict[int, str]] = []
     for row in range(everything.count):
-        place = {name: getattr(everything, name)[row] for name in ("pose", "scan", "normals", "step", "path")}
+        place = {name: getattr(everything, name)[row] for name in ("pose", "scan", "lines", "step", "path")}
         places.add(**place)
         for other in np.flatnonzero(distances(places.pose, places.pose[row]) < 1.5).tolist():
             places.join(other, row)
@@ -305,6 +338,26 @@ def test_a_side_corridor_is_listed_when_it_is_left_behind_and_struck_off_when_se
     north = [area for area in areas.listed if (places.pose[area.place, :2] + area.offset)[1] > 2.4]
     assert north
     assert {area.state for area in north} <= {"visited", "struck off"}
+
+
+def test_an_opening_that_one_scan_alone_sees_is_dropped() -> None:
+    """A range that is wrong, beyond a wall, is not repeated by the scans before and after; a corridor's end is."""
+    poses = np.array([(12.6 + 0.2 * i, 1.2, 0.0) for i in range(5)])
+    measured = np.array([seen(CROSSING, *pose) for pose in poses])
+    places = places_at(CROSSING, [(13.0, 1.2, 0.0)])
+    wrong = measured[2].copy()
+    wrong[128:132] = 9.0  # through the wall to the south-west
+    places.scan[0] = wrong
+    areas = OpenAreas(BEAMS, REACH)
+    areas.update(places, np.zeros(1))
+    inside_walls = ~shapely.contains_xy(CROSSING.free_space.buffer(0.1), *areas.points(places).T)
+    assert inside_walls.any()
+    measured[2] = wrong
+    areas.verify(places, measured, poses)
+    points = areas.points(places)
+    assert shapely.contains_xy(CROSSING.free_space.buffer(0.1), *points.T).all()
+    assert (points[:, 0] > 24).any()
+    assert (points[:, 0] < 2).any()
 
 
 def test_a_banned_point_is_never_open_again() -> None:

@@ -31,8 +31,9 @@ DRIFT_MIN, DRIFT_MAX = 1.5, 9.5
 """Metres that it may be off at least and at most."""
 SPREAD = np.array([1.0, 1.0, math.radians(10)])
 """Of the robot about a place that the vote has found, metres, metres, radians."""
-AGREES, ENDS, FIRM = 0.8, 50, 6.0
-"""What a match must have of agreement, ends in common, and ends that speak for each direction."""
+AGREES_LESS, ENDS, FIRM = 0.07, 50, 4.0
+"""What a match may lack of the agreement of scans on the way, and must have of ends in common, and of ends that speak
+for each direction."""
 RIVAL_OFF, RIVAL_WORSE = 1.5, 0.08
 """A match elsewhere, by so many metres, must agree less, by such a share; else the place is not to be told from it."""
 SAME_SHIFT = 0.8
@@ -148,7 +149,11 @@ class Detector:
             expected[:2] /= max(1.0, math.hypot(expected[0], expected[1]))  # near the row, whatever the track says
             expected = compose(places.pose[row], expected)
             m = match(places, row, places.scan[-1], expected, SPREAD, self.config.range_max)
-            if m.agreement > AGREES and m.seen > ENDS and math.hypot(m.relative[0], m.relative[1]) < AT_PLACE:
+            if (
+                m.agreement > track.agreement - AGREES_LESS
+                and m.seen > ENDS
+                and math.hypot(m.relative[0], m.relative[1]) < AT_PLACE
+            ):
                 found.append(m)
         if not found:
             return None

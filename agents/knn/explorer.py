@@ -14,8 +14,8 @@ from agents.knn.directions import Group, compass_direction, sector_features
 from agents.navigation.open_areas import DETOUR, OpenAreas
 from agents.navigation.pilot import Pilot
 from agents.navigation.places import Places
-from agents.navigation.poses import distances, wrap_all
-from agents.navigation.scan_matching import wall_normals
+from agents.navigation.poses import compose, distances, relative, wrap_all
+from agents.navigation.scan_matching import wall_lines
 from agents.navigation.scans import confirm, despeckle, fill, inside
 from agents.navigation.track import Track
 from agents.scripted import MATCH_START, drive_actions
@@ -24,6 +24,8 @@ from cyclic_env.errors import ConfigError
 
 FIRST_STEPS = 2
 """Steps of standing still at first: the scans that later ones are confirmed by."""
+SCANS_KEPT = 5
+"""Scans that are kept as they were measured, by which openings are verified when they stand in the middle."""
 LOOK_AGAIN = 15
 """Steps after which the goal is thought over, if there was no new row: three seconds."""
 IN_SIGHT_ROWS = 3
@@ -55,6 +57,8 @@ class Memory:
         Whether the last row's place was known.
     done : bool
         The list is empty: there is nothing left to explore.
+    measured, scans, poses : (SCANS_KEPT, beams), the same and (SCANS_KEPT, 3)
+        The latest first: scans as measured, without speckle, and where they were taken.
     """
 
     def __init__(self, config: ExplorerConfig, beams: int) -> None:
@@ -71,8 +75,9 @@ class Memory:
         self.visited = False
         self.on_list = False
         self.done = False
-        self.scan = np.zeros(beams)
-        self.earlier: list[tuple[np.ndarray, np.ndarray]] = []
+        self.measured = np.zeros((SCANS_KEPT, beams))
+        self.scans = np.zeros((SCANS_KEPT, beams))
+        self.poses = np.zeros((SCANS_KEPT, 3))
         self.lengths = np.zeros(0)
         self.before = np.zeros(0, np.int64)
         self.since_choice = 0
@@ -157,11 +162,15 @@ class KnnExplorer:
                 memory.areas.ban(places, pilot.goal)
                 pilot.drop()
                 memory.since_choice = LOOK_AGAIN
+            if places.count and memory.steps - places.step[-1] == SCANS_KEPT // 2:
+                memory.areas.verify(places, memory.measured, memory.poses)
             if moved >= self.config.row_spacing or (pilot.arrives(track.pose) and moved > 0.1):
                 # Step 1: add a row to the group's table, and openings to the open areas' list.
+                before = track.pose.copy()
                 self._add_row(memory)
                 # Step 5: compare with the tables of before.
                 match = self._compare(memory)
+                memory.poses = compose(track.pose, relative(before, memory.poses))
                 memory.areas.update(places, memory.lengths)
                 memory.since_choice = LOOK_AGAIN
             # Step 6: go to an open area, or on.
@@ -169,32 +178,34 @@ class KnnExplorer:
                 self._choose(memory)
             memory.since_choice += 1
         memory.steps += 1
-        speed, turn = pilot.drive(track.pose, memory.scan)
+        speed, turn = pilot.drive(track.pose, memory.scans[0])
         if match is None:
             return speed, turn, -1.0, MATCH_START
         memory.claims.append((memory.steps, match))
         return speed, turn, 1.0, 2 * match / memory.steps - 1
 
     def _sense(self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray) -> None:
-        memory.earlier = [(memory.scan.copy(), memory.track.pose.copy()), *memory.earlier[:1]]
-        despeckle(laser, memory.scan)
         memory.track.advance(distance, compass)
+        for kept, new in ((memory.measured, laser), (memory.scans, laser), (memory.poses, memory.track.pose)):
+            kept[1:] = kept[:-1]
+            kept[0] = new
+        despeckle(laser, memory.scans[0])
 
     def _add_row(self, memory: Memory) -> None:
         places, track = memory.places, memory.track
-        scan, confirmed = memory.scan.copy(), np.zeros(len(memory.scan), np.bool_)
-        for earlier, pose in memory.earlier:
-            confirm(memory.scan, track.pose, earlier, pose, confirmed)
-        fill(memory.scan, confirmed, scan)
-        memory.scan = scan
+        scan, confirmed = memory.scans[0].copy(), np.zeros(len(memory.scans[0]), np.bool_)
+        for earlier in range(1, FIRST_STEPS + 1):
+            confirm(memory.scans[0], track.pose, memory.scans[earlier], memory.poses[earlier], confirmed)
+        fill(memory.scans[0], confirmed, scan)
+        memory.scans[0] = scan
         track.localise(places, scan, memory.lengths)
-        normals = np.empty((len(scan), 2))
-        wall_normals(scan, self.config.range_max, normals)
+        lines = np.empty((len(scan), 3))
+        wall_lines(scan, self.config.range_max, lines)
         row = places.add(
             pose=track.pose,
             odometry=track.odometry,
             scan=scan,
-            normals=normals,
+            lines=lines,
             features=sector_features(scan, self.config.sectors, self.config.rounding),
             compass=track.compass,
             direction=memory.direction,
@@ -242,7 +253,7 @@ class KnnExplorer:
         pilot = memory.pilot
         pilot.choose(
             memory.track.pose,
-            memory.scan,
+            memory.scans[0],
             memory.places,
             memory.areas,
             memory.lengths,

@@ -8,7 +8,17 @@ import numpy as np
 
 from agents.navigation.places import Places
 from agents.navigation.poses import distances
-from agents.navigation.scans import BESIDE, DOUBTFUL, NEAR_SIGHT, UNBOUNDED, inside, open_points, settles, to_track
+from agents.navigation.scans import (
+    BESIDE,
+    DOUBTFUL,
+    NEAR_SIGHT,
+    UNBOUNDED,
+    inside,
+    open_points,
+    seen_through,
+    settles,
+    to_track,
+)
 
 DETOUR = 14.0
 """Metres by which the way to a place may be longer than the straight line if what one sees, the other sees too.
@@ -18,6 +28,8 @@ open until it has been driven round.
 """
 SIGHT = 14.0
 """Metres between two places whose scans may overlap at points of one of them: a little more than the laser's reach."""
+WITNESSES = 2
+"""Scans as measured that must have seen through to a point of an opening: one alone may have a range that is wrong."""
 MOST_POINTS = 400
 """Of one scan; more are left out."""
 SAME_AREA = 2.0
@@ -64,6 +76,7 @@ class OpenAreas:
         self._numbers: dict[int, int] = {}  # area -> index into the list
         self._nearest: dict[int, float] = {}  # area -> metres from the robot when it was nearest
         self._areas = 0
+        self._new = 0  # points at the end that have not been verified yet
         self._banned = np.zeros((0, 2))
 
     def __len__(self) -> int:
@@ -129,6 +142,23 @@ class OpenAreas:
             self.polar = np.vstack([self.polar, polar_point])
         self.area = np.array(areas, np.int64)
         self.place = np.append(self.place, np.full(int(new.sum()), last))
+        self._new = int(new.sum())
+
+    def verify(self, places: Places, measured: np.ndarray, poses: np.ndarray) -> None:
+        """Drop what the last `update` has opened, unless `WITNESSES` scans see through to it.
+
+        Parameters
+        ----------
+        places : Places
+        measured, poses : (m, beams) and (m, 3)
+            Scans as measured, from shortly before and after that of the last place.
+        """
+        points = self.points(places)
+        witnesses = np.full(len(points), WITNESSES)
+        new = slice(len(points) - self._new, None)
+        seen_through(measured, poses, self.range_max, points[new], witnesses[new])
+        self._new = 0
+        self._drop(witnesses < WITNESSES, np.zeros(len(points), np.bool_))
 
     def recheck(self, places: Places) -> None:
         """Strike off what places have seen that a closed loop has brought near."""
@@ -164,6 +194,7 @@ class OpenAreas:
 
     def _drop(self, dropped: np.ndarray, arrived: np.ndarray) -> None:
         before = {area: bool(arrived[self.area == area].any()) for area in np.unique(self.area[dropped])}
+        self._new -= int(dropped[len(dropped) - self._new :].sum())
         self.polar, self.place, self.area = self.polar[~dropped], self.place[~dropped], self.area[~dropped]
         for area, visited in before.items():
             listed = self._numbers.get(area)

@@ -76,8 +76,8 @@ class Places:
     odometry : (n, 2) float64
         Where dead reckoning alone would put it.
     scan : (n, beams) float64
-    normals : (n, beams, 2) float64
-        Of the walls at the scan's ends; see `wall_normals`.
+    lines : (n, beams, 3) float64
+        Of the walls at the scan's ends; see `wall_lines`.
     features : (n, 2, sectors) float64
         Ahead and back; see `sector_features`.
     compass : (n,) float64
@@ -90,7 +90,7 @@ class Places:
     pose: np.ndarray
     odometry: np.ndarray
     scan: np.ndarray
-    normals: np.ndarray
+    lines: np.ndarray
     features: np.ndarray
     compass: np.ndarray
     direction: np.ndarray
@@ -108,7 +108,7 @@ class Places:
             "pose": np.zeros((CAPACITY, 3)),
             "odometry": np.zeros((CAPACITY, 2)),
             "scan": np.zeros((CAPACITY, beams)),
-            "normals": np.zeros((CAPACITY, beams, 2)),
+            "lines": np.zeros((CAPACITY, beams, 3)),
             "features": np.zeros((CAPACITY, 2, sectors)),
             "compass": np.zeros(CAPACITY),
             "direction": np.zeros(CAPACITY, np.int64),

@@ -19,24 +19,29 @@ from cyclic_env.compiled import compiled
 ROUNDS = 12
 SPREAD = 0.05
 """Metres of an end about its wall: the noise of two scans, and their coarseness."""
+LOOSE = 2.0
+"""Ends that noise and outliers put along a plain corridor, where there is nothing to tell the way along it."""
 TOLERANCE = 0.25
 """Metres by which ends may differ that agree."""
 FIT_BASE = 0.4
 """Metres that the points of a fitted wall span at least: ten times the noise of a range."""
+FIT_ENOUGH = 1.0
+"""Metres beyond which no more points are added."""
 FIT_ERROR = 0.06
 """Metres of rms at most between such points and their line."""
 
 
 @compiled
-def wall_normals(ranges, range_max, normals):
-    """Write into `normals` `(beams, 2)` the unit normals of the walls at the beams' ends, in the frame of the scan.
+def wall_lines(ranges, range_max, lines):
+    """Write into `lines` `(beams, 3)` the walls at the beams' ends: unit normal and offset, in the frame of the scan.
 
-    They are fitted to each end and its neighbours on both sides; (0, 0) where these are not in line, or no wall.
+    A point (x, y) is on a wall (nx, ny, offset) where nx x + ny y = offset. Lines are fitted to each end and as many of
+    its neighbours on both sides as are in line with it; (0, 0, 0) where these are too few, or no wall.
     """
     n = ranges.shape[0]
     spacing = 2 * math.pi / n
     for k in range(n):
-        normals[k, 0] = normals[k, 1] = 0.0
+        lines[k, 0] = lines[k, 1] = lines[k, 2] = 0.0
         for reach in range(2, 9):
             count = 2 * reach + 1
             mx = my = 0.0
@@ -60,20 +65,23 @@ def wall_normals(ranges, range_max, normals):
                 xy += dx * dy
                 yy += dy * dy
             across = 0.5 * (xx + yy - math.sqrt((xx - yy) ** 2 + 4 * xy * xy))
-            if across <= count * FIT_ERROR**2:
-                along = 0.5 * math.atan2(2 * xy, xx - yy)
-                normals[k, 0], normals[k, 1] = -math.sin(along), math.cos(along)
-            break
+            if across > count * FIT_ERROR**2:
+                break
+            along = 0.5 * math.atan2(2 * xy, xx - yy)
+            lines[k, 0], lines[k, 1] = -math.sin(along), math.cos(along)
+            lines[k, 2] = lines[k, 0] * mx + lines[k, 1] * my
+            if base > FIT_ENOUGH:
+                break
 
 
 @compiled
-def align(reference, normals, ranges, range_max, prior, spread, pose, hessian):
+def align(reference, lines, ranges, range_max, prior, spread, pose, hessian):
     """Find the pose `(3,)` of a scan in the frame of a reference scan, and how well it is determined.
 
     Parameters
     ----------
-    reference, normals : (beams,) and (beams, 2)
-        The reference scan and its `wall_normals`.
+    reference, lines : (beams,) and (beams, 3)
+        The reference scan and its `wall_lines`.
     ranges : (beams,)
         The scan to be matched.
     prior : (3,)
@@ -115,18 +123,18 @@ def align(reference, normals, ranges, range_max, prior, spread, pose, hessian):
             best, error, nx, ny = gate, 0.0, 0.0, 0.0
             for i in range(centre - 6, centre + 7):
                 j = i % n
-                if normals[j, 0] == 0.0 and normals[j, 1] == 0.0:
+                if lines[j, 0] == 0.0 and lines[j, 1] == 0.0:
                     continue
                 dx = x - reference[j] * math.cos(j * spacing)
                 dy = y - reference[j] * math.sin(j * spacing)
-                off = dx * normals[j, 0] + dy * normals[j, 1]
-                along = abs(dx * normals[j, 1] - dy * normals[j, 0])
+                off = x * lines[j, 0] + y * lines[j, 1] - lines[j, 2]
+                along = abs(dx * lines[j, 1] - dy * lines[j, 0])
                 # Ends on a wall seen at a slant lie far apart, and the wall goes on between them.
-                slant = abs(math.cos(j * spacing) * normals[j, 0] + math.sin(j * spacing) * normals[j, 1])
+                slant = abs(math.cos(j * spacing) * lines[j, 0] + math.sin(j * spacing) * lines[j, 1])
                 along = max(0.0, along - 0.75 * reference[j] * spacing / max(slant, 0.05))
                 distance = abs(off) + along
                 if distance < best:
-                    best, error, nx, ny = distance, off, normals[j, 0], normals[j, 1]
+                    best, error, nx, ny = distance, off, lines[j, 0], lines[j, 1]
             if best < gate:
                 used += 1
                 weight = 1.0 / (1.0 + (error / sigma) ** 2)
@@ -140,6 +148,20 @@ def align(reference, normals, ranges, range_max, prior, spread, pose, hessian):
                 g0 += weight * nx * error
                 g1 += weight * ny * error
                 g2 += weight * j2 * error
+        # Along the direction in which the ends tell least, they count for less by LOOSE (the matrix becomes S H S).
+        strong = 0.5 * math.atan2(2 * hessian[0, 1], hessian[0, 0] - hessian[1, 1])
+        w0, w1 = -math.sin(strong), math.cos(strong)
+        weak = w0 * w0 * hessian[0, 0] + 2 * w0 * w1 * hessian[0, 1] + w1 * w1 * hessian[1, 1]
+        share = 1.0 - (math.sqrt(1.0 - LOOSE / weak) if weak > LOOSE else 0.0)
+        h0, h1 = hessian[0, 0] * w0 + hessian[0, 1] * w1, hessian[0, 1] * w0 + hessian[1, 1] * w1
+        hessian[0, 0] += share * (share * weak * w0 * w0 - 2 * h0 * w0)
+        hessian[0, 1] += share * (share * weak * w0 * w1 - h0 * w1 - h1 * w0)
+        hessian[1, 1] += share * (share * weak * w1 * w1 - 2 * h1 * w1)
+        across, pull = w0 * hessian[0, 2] + w1 * hessian[1, 2], w0 * g0 + w1 * g1
+        hessian[0, 2] -= share * across * w0
+        hessian[1, 2] -= share * across * w1
+        g0 -= share * pull * w0
+        g1 -= share * pull * w1
         variance = SPREAD**2
         p0, p1, p2 = variance / spread[0] ** 2, variance / spread[1] ** 2, variance / spread[2] ** 2
         a, b, c = hessian[0, 0] + p0, hessian[0, 1], hessian[0, 2]
@@ -221,8 +243,8 @@ def match(
     """Match a scan `(beams,)`, expected at a pose `(3,)` of the track give or take `spread` `(3,)`, with a place's."""
     prior = relative(places.pose[place], expected)
     pose, hessian = np.empty(3), np.empty((3, 3))
-    reference, normals = places.scan[place], places.normals[place]
-    align(reference, normals, scan, range_max, prior, spread, pose, hessian)
+    reference, lines = places.scan[place], places.lines[place]
+    align(reference, lines, scan, range_max, prior, spread, pose, hessian)
     there, seen = agreement(reference, scan, range_max, pose, TOLERANCE)
     back, seen_back = agreement(scan, reference, range_max, relative(pose, np.zeros(3)), TOLERANCE)
     return Match(

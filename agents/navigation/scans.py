@@ -113,6 +113,24 @@ def inside(ranges, x, y, heading, points, margin, out):
 
 
 @compiled
+def seen_through(scans, poses, range_max, points, out):
+    """Write into `out` `(n,)` by how many scans `(m, beams)` at poses `(m, 3)` each point `(n, 2)` is seen as free.
+
+    The beam nearest to the point is asked, and it alone: the scans may be as measured, with ranges that are wrong. One
+    that met no wall sees through to points a little beyond its reach too.
+    """
+    n = scans.shape[1]
+    spacing = 2 * math.pi / n
+    for i in range(points.shape[0]):
+        out[i] = 0
+        for k in range(scans.shape[0]):
+            dx, dy = points[i, 0] - poses[k, 0], points[i, 1] - poses[k, 1]
+            beam = round((math.atan2(dy, dx) - poses[k, 2]) / spacing)
+            r = scans[k, beam % n]
+            out[i] += r >= range_max - SHORT_OF_REACH or math.sqrt(dx * dx + dy * dy) < r
+
+
+@compiled
 def settles(scans, poses, range_max, points, out):
     """Write into `out` `(n,)` which points `(n, 2)` are open no more after scans `(m, beams)` at poses `(m, 3)`.
 

@@ -9,7 +9,7 @@ import numpy as np
 from agents.navigation.places import Places
 from agents.navigation.pose_graph import optimise
 from agents.navigation.poses import compose, distances, relative, wrap
-from agents.navigation.scan_matching import Match, match
+from agents.navigation.scan_matching import SPREAD, Match, match
 
 TURN_ERROR = math.radians(0.1)
 """Of the heading that the matching of two scans a metre apart gives: measured in simulation, 0.03 to 0.12 degrees."""
@@ -23,10 +23,16 @@ SURE = 0.75
 """Share of two scans' ends that agree, from which a match on the way is taken."""
 ENDS = 40
 """Ends that both have in sight, at least."""
+MEMORY = 30
+"""Places over which the mean agreement of matches on the way is taken, and the mean error of the compass's turns."""
 LAG = 0.3
 """Share of the compass's error at a place that is taken to last until the next: its field changes slowly."""
 FIELD_REACH = 100.0
 """By so much less does each reading of the compass tell than its noise says: its field is alike over metres."""
+SCALE_SPREAD, SLIP = 0.03, 0.03
+"""Of the distance meter: its scale's deviation from 1 before anything is known, and metres of slip at each metre."""
+SCALE_ENDS, SCALE_DRIVEN = 2.0, 0.5
+"""Ends that speak for the way driven, and metres of it, from which a match tells the scale."""
 TENSION = 0.5
 """Metres by which returns have pulled at the track before it is spread over the places in between."""
 
@@ -48,6 +54,10 @@ class Track:
         Where dead reckoning alone puts the robot: the position that the compass and the distance meter give.
     path : float
         Metres driven, forward and back.
+    scale : float
+        Metres driven for each that the distance meter shows, as the scans have it.
+    agreement : float
+        Mean of the latest matches on the way: how well two scans agree with this laser, in this building.
     edges : list
         Measured relations of places: (i, j, pose of j in i's frame `(3,)`, information `(3, 3)`).
     """
@@ -58,12 +68,15 @@ class Track:
         self.pose = np.zeros(3)
         self.odometry = np.zeros(2)
         self.path = 0.0
+        self.scale = 1.0
+        self.agreement = 1.0
         self.edges: list[tuple[int, int, np.ndarray, np.ndarray]] = []
         self._distance = 0.0
         self._compass: float | None = None
         self._bias = 0.0  # of the compass, as the scans have it
         self._wander = 0.0  # mean squared error of its turns from place to place
         self._tension = np.zeros(2)
+        self._scale_information = SCALE_SPREAD**-2
 
     @property
     def compass(self) -> float:
@@ -78,6 +91,7 @@ class Track:
         middle = before + 0.5 * wrap(heading - before)  # an arc's chord points midway between its ends' headings
         self._compass = heading
         self.odometry += driven * np.array([math.cos(middle), math.sin(middle)])
+        driven *= self.scale
         self.pose[:2] += driven * np.array([math.cos(middle + self._bias), math.sin(middle + self._bias)])
         self.pose[2] = wrap(heading + self._bias)
         self.path += abs(driven)
@@ -107,10 +121,12 @@ class Track:
                 self._move(found.pose)
                 return
         found = match(places, last, scan, expected, STEP_SPREAD, self.range_max)
+        self.agreement += (found.agreement - self.agreement) / min(MEMORY, last + 1)
         if self._fits(found):
             turned = wrap(self.compass - places.compass[last] - found.relative[2])
-            self._wander += (turned**2 - self._wander) / min(30, last + 1)
+            self._wander += (turned**2 - self._wander) / min(MEMORY, last + 1)
             # The compass has no drift, the scans' headings drift but little: a Kalman gain holds them together.
+            self._learn_scale(odometry, found)
             gain = TURN_ERROR**2 / (TURN_ERROR**2 + self._wander)
             found.pose[2] = wrap(found.pose[2] + gain * wrap(self.compass - found.pose[2]))
             self._move(found.pose)
@@ -118,6 +134,23 @@ class Track:
             self._add_edge(last, places.count, odometry, found.information + np.diag(STEP_SPREAD**-2))
         else:
             self._add_edge(last, places.count, odometry, np.diag(STEP_SPREAD**-2))
+
+    def _learn_scale(self, odometry: np.ndarray, found: Match) -> None:
+        """Weigh what a match with the last place says of the distance meter's scale; see `SCALE_SPREAD`."""
+        driven = math.hypot(odometry[0], odometry[1])
+        if driven < SCALE_DRIVEN:
+            return
+        # Without the prior: that pulled at the match by as much as the ends did the other way.
+        covariance = np.linalg.inv(found.information + 1e-3 * np.eye(3))
+        free = found.relative + covariance @ ((found.relative - odometry) / STEP_SPREAD**2)
+        along = np.array([odometry[0], odometry[1], 0.0]) / driven
+        variance = along @ covariance @ along
+        if variance > SPREAD**2 / SCALE_ENDS:
+            return
+        information = (driven / self.scale) ** 2 / (variance + SHIFT_ERROR**2 + SLIP**2 * driven)
+        self._scale_information += information
+        measured = self.scale * (along @ free) / driven
+        self.scale += information / self._scale_information * (measured - self.scale)
 
     def _fits(self, found: Match) -> bool:
         off = math.hypot(*(found.pose[:2] - self.pose[:2]))
