@@ -1,0 +1,334 @@
+"""From an occupancy grid to a floor plan: the free space that a robot can reach, cleaned, traced and simplified.
+
+Free space is 4-connected and walls are 8-connected, so that a wall one cell thin with diagonal steps is tight. What the
+robot can reach is found by its centre: cells a radius off every wall, connected with the start. From these the space is
+grown back to the walls cell by cell, never by one that would join it to itself. So the plan has a hole for each
+obstacle, or group of obstacles, that the robot can drive around, and for no other: where it does not fit between two
+walls, they are joined.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from contourpy import FillType, contour_generator
+from scipy import ndimage
+from shapely.geometry import Point, Polygon
+
+from cyclic_env.compiled import compile_notice, compiled
+from cyclic_env.errors import FloorPlanError, shown
+from cyclic_env.floor_plans.floor_plan import NOOK_AREA, FloorPlan, Pose
+from cyclic_env.floor_plans.occupancy import OccupancyGrid
+
+ENCLOSED_SHARE = 0.1
+"""A region that the image's edge does not cut is preferred to a larger one that it does cut, such as the paper around
+a drawing, down to this share of its area."""
+
+CLEARANCE = 0.5
+"""Cells from a robot's side to the centre of the nearest wall cell, at least: the robot is off that cell's side."""
+
+ROUNDS = 4
+"""Where the robot does not pass through the simplified plan, wider and wider passages are closed, in the last round all
+that simplified walls may narrow too far: each wall by the tolerance, and by a cell's corner."""
+
+HEADINGS = 72
+"""Among which the start's is chosen."""
+
+CONNECTED_8 = np.ones((3, 3), dtype=int)
+
+
+class Tracing(NamedTuple):
+    """A floor plan traced from a grid, and what was left out of it.
+
+    Attributes
+    ----------
+    plan : FloorPlan
+    specks : int
+        Groups of walls too small to be kept.
+    speck_area, dropped_area : float
+        Square metres of these, and of free cells that are not in the plan: out of the robot's reach or too narrow.
+    """
+
+    plan: FloorPlan
+    specks: int
+    speck_area: float
+    dropped_area: float
+
+
+def trace_floor_plan(
+    grid: OccupancyGrid,
+    *,
+    start: Pose | None = None,
+    robot_radius: float = 0.25,
+    speck_area: float = 0.04,
+    gap: float = 0.2,
+    nook_depth: float = 0.5,
+    tolerance: float | None = None,
+) -> Tracing:
+    """Return the floor plan of an occupancy grid in which a robot passes everywhere.
+
+    Parameters
+    ----------
+    grid : OccupancyGrid
+        Cells that are not free, unknown ones too, are walls.
+    start : (x, y, heading), optional
+        World pose, metres and radians; by default the grid's. The free space that is reached from there is kept.
+        Without, the largest one is kept, and the start is its roomiest point, looking along the longest line of sight.
+    robot_radius : float
+        Metres. Passages narrower than the robot are closed, and what lies beyond them is left out. It takes up to
+        some 2 cells more than twice the radius to pass, as the cells are coarse.
+    speck_area : float
+        Square metres. Smaller groups of wall cells, two cells from all others, are noise or chair legs, and dropped.
+    gap : float
+        Metres. Free space narrower than this, such as single rays through windows, is closed; at most the robot's
+        diameter is.
+    nook_depth : float
+        Metres. How far the free space goes on where the robot can't: nooks and niches that its laser sees into.
+    tolerance : float, optional
+        Metres by which simplified walls may differ from the cells' sides; by default 1.5 cells. Half of it is taken
+        where walls would else become too crude for the robot to pass.
+
+    Raises
+    ------
+    FloorPlanError
+        If there is no free space, the robot fits nowhere or not at the start, or an argument makes no sense.
+    """
+    tolerance = 1.5 * grid.resolution if tolerance is None else tolerance
+    sizes = {"robot_radius": robot_radius, "speck_area": speck_area, "gap": gap, "nook_depth": nook_depth}
+    for name, value in (sizes | {"tolerance": tolerance}).items():
+        if not 0 <= value < math.inf or (name == "robot_radius" and value == 0):
+            raise FloorPlanError(f"{name}: expected metres, finite and not below 0, got {shown(value)}.")
+    free = grid.free
+    if not free.any():
+        raise FloorPlanError("the map has no free cell; are the thresholds right, and negate?")
+    start = grid.start if start is None else start
+    corner, free = _cropped(free)
+    specks, speck_cells = _drop_specks(free, speck_area / grid.resolution**2)
+    fallback: Tracing | None = None
+    problems: list[FloorPlanError] = []
+    for i in range(ROUNDS):
+        clearance = CLEARANCE + i / (ROUNDS - 1) * (1 + tolerance / grid.resolution)
+        radius = robot_radius / grid.resolution + clearance
+        with compile_notice():
+            try:
+                centres = _centres(free, radius, grid, corner, start)
+            except FloorPlanError as error:
+                problems.append(error)
+                continue
+            space = _grown(centres, free, radius, gap / grid.resolution, nook_depth / grid.resolution)
+        outline = _outline(space, corner)
+        dropped = grid.resolution**2 * (np.count_nonzero(free) - np.count_nonzero(space))
+        for share in (1.0, 0.5):
+            simple = _simplified(outline, share * tolerance / grid.resolution)
+            try:
+                plan = _plan(grid, shapely.transform(simple, grid.to_world), start)
+                home = plan.reachable(robot_radius)
+            except FloorPlanError as error:
+                problems.append(error)
+                continue
+            tracing = Tracing(plan, specks, grid.resolution**2 * speck_cells, dropped)
+            if not _has_pocket(plan, home, robot_radius):
+                return tracing
+            fallback = fallback or tracing
+    if fallback is None:
+        raise problems[0]
+    return fallback
+
+
+def _cropped(free: np.ndarray) -> tuple[tuple[int, int], np.ndarray]:
+    """Return the part of a mask in which there is anything, with a rim of walls, and row and column of its corner."""
+    row, column = (np.flatnonzero(free.any(axis=axis))[[0, -1]] for axis in (1, 0))
+    part = free[row[0] : row[1] + 1, column[0] : column[1] + 1]
+    return (int(row[0]) - 1, int(column[0]) - 1), np.pad(part, 1)
+
+
+def _drop_specks(free: np.ndarray, cells_min: float) -> tuple[int, int]:
+    """Free the groups of fewer wall cells than that, in place; return the number of groups and of cells.
+
+    Cells of a group are at most one other cell apart, so that a wall that the laser saw as a row of dots is one group.
+    """
+    walls = ~free
+    groups = ndimage.label(ndimage.binary_dilation(walls, CONNECTED_8), CONNECTED_8)[0]
+    groups[free] = 0
+    sizes = np.bincount(groups.ravel())
+    small = (sizes < cells_min) & (np.arange(len(sizes)) > 0)
+    free |= small[groups]
+    return int(np.count_nonzero(small)), int(sizes[small].sum())
+
+
+def _centres(
+    free: np.ndarray, radius: float, grid: OccupancyGrid, corner: tuple[int, int], start: Pose | None
+) -> np.ndarray:
+    """Return the cells that the centre of a robot can reach from the start, or the largest region of such cells.
+
+    Raises
+    ------
+    FloorPlanError
+        If the robot fits nowhere, or not at the start.
+    """
+    open_space = ~_dilated(~free, radius)
+    labels = ndimage.label(open_space)[0]
+    sizes = np.bincount(labels.ravel())[1:]
+    if not len(sizes):
+        raise FloorPlanError("the robot fits nowhere in the map's free space; is the resolution right?")
+    if start is None:
+        rows, columns = (np.array(size) - radius - 1 for size in grid.cells.shape)
+        cut = [
+            min(box[0].start + corner[0], box[1].start + corner[1]) < radius + 1
+            or box[0].stop + corner[0] > rows
+            or box[1].stop + corner[1] > columns
+            for box in ndimage.find_objects(labels)
+        ]
+        return labels == 1 + np.argmax(np.where(cut, ENCLOSED_SHARE, 1.0) * sizes)
+    column, row = np.floor(grid.to_grid(np.array([start[:2]]))[0]).astype(int) - corner[::-1]
+    inside = 0 <= row < free.shape[0] and 0 <= column < free.shape[1]
+    if inside and open_space[row, column]:
+        return labels == labels[row, column]
+    rows, columns = np.nonzero(open_space)
+    nearest = np.argmin((rows - row) ** 2 + (columns - column) ** 2)
+    x, y = grid.to_world(np.array([[columns[nearest] + corner[1] + 0.5, rows[nearest] + corner[0] + 0.5]]))[0]
+    fault = "too near a wall" if inside and free[row, column] else "in a wall, in unknown space or outside the map"
+    raise FloorPlanError(f"start ({start[0]:g}, {start[1]:g}) is {fault}; move it, for example to ({x:.2f}, {y:.2f}).")
+
+
+def _grown(centres: np.ndarray, free: np.ndarray, radius: float, gap: float, nook_depth: float) -> np.ndarray:
+    """Return the space of a robot's centres grown back to the walls: what the robot covers, and nooks beside it.
+
+    Lengths are in cells. Free space narrower than `gap` is not entered.
+    """
+    half_gap = min(max(1, round(gap / 2 + 0.5)), radius)
+    wide = _dilated(~_dilated(~free, half_gap), half_gap)
+    reach = radius + nook_depth
+    allowed = wide & ~centres & _dilated(centres, reach)
+    space = centres.copy()
+    capacity = 4 * np.count_nonzero(allowed)
+    queue = np.empty((2, capacity), np.int64)
+    grow(space.ravel(), allowed.ravel(), space.shape[1], reach, queue[0], queue[1])
+    return space
+
+
+def _dilated(mask: np.ndarray, radius: float) -> np.ndarray:
+    """Return the cells less than `radius` cells from one of `mask`, centre to centre."""
+    reach = np.arange(math.ceil(radius))
+    widths = np.ceil(np.sqrt(radius**2 - reach**2)).astype(np.int64) - 1
+    result = mask.copy()
+    stamp_discs(mask, widths, result)
+    return result
+
+
+@compiled
+def stamp_discs(mask, widths, result):
+    """Set `result` where discs around the cells of `mask` lie: i rows off, `widths[i]` cells to both sides.
+
+    Cells amid others have their discs covered by those around them.
+    """
+    rows, columns = mask.shape
+    for row in range(rows):
+        for column in range(columns):
+            if not mask[row, column]:
+                continue
+            if (
+                0 < row < rows - 1
+                and 0 < column < columns - 1
+                and mask[row - 1, column]
+                and mask[row + 1, column]
+                and mask[row, column - 1]
+                and mask[row, column + 1]
+            ):
+                continue
+            for i in range(max(row - len(widths) + 1, 0), min(row + len(widths), rows)):
+                width = widths[abs(i - row)]
+                for j in range(max(column - width, 0), min(column + width + 1, columns)):
+                    result[i, j] = True
+
+
+@compiled
+def grow(space, allowed, columns, reach, cells, sources):
+    """Add allowed cells to `space`, nearest first, that make no new hole of it and join it nowhere to itself.
+
+    Parameters
+    ----------
+    space, allowed : (rows * columns,) bool
+        Row by row; no cell of either is on the rim. The space, 4-connected, is grown in place.
+    columns : int
+    reach : float
+        Cells from the one of the first space from which a cell was reached, one by one.
+    cells, sources : (4 * number of allowed cells,) int64
+        Room for the queue: a cell waits at most once for each neighbour.
+    """
+    steps = (1, columns, -1, -columns)
+    end = 0
+    for cell in range(columns, len(space) - columns):
+        if space[cell]:
+            for step in steps:
+                if allowed[cell + step]:
+                    cells[end], sources[end] = cell + step, cell
+                    end += 1
+    begin = 0
+    while begin < end:
+        cell, source = cells[begin], sources[begin]
+        begin += 1
+        if space[cell]:
+            continue
+        up, across = cell // columns - source // columns, cell % columns - source % columns
+        if up * up + across * across >= reach * reach:
+            continue
+        joined = 0  # Yokoi's connectivity number: 1 where the cell's neighbours stay as connected as they are
+        for i in range(4):
+            side, next_side = steps[i], steps[(i + 1) % 4]
+            if space[cell + side] and not (space[cell + side + next_side] and space[cell + next_side]):
+                joined += 1
+        if joined != 1:
+            continue
+        space[cell] = True
+        for step in steps:
+            if allowed[cell + step] and not space[cell + step]:
+                cells[end], sources[end] = cell + step, source
+                end += 1
+
+
+def _outline(space: np.ndarray, corner: tuple[int, int]) -> Polygon:
+    """Return the polygon of a connected mask, in columns and rows of the grid; its sides lie between the cells."""
+    row, column = (np.arange(size) + low + 0.5 for size, low in zip(space.shape, corner, strict=True))
+    # Just above a half, where two cells that meet in a corner are not joined.
+    generator = contour_generator(column, row, space.astype(float), fill_type=FillType.OuterOffset)
+    points, offsets = (part[0] for part in generator.filled(0.5 + 1e-6, math.inf))
+    exterior, *holes = (points[a:b] for a, b in pairwise(offsets))
+    return Polygon(exterior, holes)
+
+
+def _simplified(polygon: Polygon, tolerance: float) -> Polygon:
+    """Return a polygon with fewer corners, within `tolerance` of the given one, or less where it would cross itself."""
+    while tolerance > 1e-3:
+        simple = polygon.simplify(tolerance)
+        if isinstance(simple, Polygon) and simple.is_valid and not simple.is_empty:
+            return simple
+        tolerance /= 2
+    return polygon
+
+
+def _plan(grid: OccupancyGrid, polygon: Polygon, start: Pose | None) -> FloorPlan:
+    start = _roomiest(polygon, grid.resolution) if start is None else start
+    return FloorPlan(grid.name, polygon, start, grid.title, grid.source, grid.licence)
+
+
+def _roomiest(polygon: Polygon, precision: float) -> Pose:
+    """Return the point furthest from all walls, and the heading of the longest line of sight from there."""
+    x, y = (round(value, 2) for value in shapely.maximum_inscribed_circle(polygon, precision).coords[0])
+    west, south, east, north = polygon.bounds
+    headings = 2 * math.pi / HEADINGS * np.arange(HEADINGS)
+    far = (x, y) + math.hypot(east - west, north - south) * np.stack([np.cos(headings), np.sin(headings)], axis=1)
+    rays = shapely.linestrings([[(x, y), end] for end in far])
+    lengths = shapely.distance(Point(x, y), shapely.intersection(rays, polygon.boundary))
+    heading = headings[np.argmax(np.round(lengths, 6))]
+    return x, y, round(float(math.remainder(heading, 2 * math.pi)), 6)
+
+
+def _has_pocket(plan: FloorPlan, home: Polygon, radius: float) -> bool:
+    """Return whether there is a place beyond the robot's reach that is more than a nook."""
+    lost = plan.free_space.difference(home.buffer(radius * 1.01, join_style="mitre"))
+    return any(part.area > NOOK_AREA for part in shapely.get_parts(lost))
