@@ -67,7 +67,7 @@ def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
     readable = all(text.isprintable() for text in texts.values())
     text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=readable)
     try:
-        Path(path).writeas_text(text, encoding="utf-8")
+        Path(path).write_text(text, encoding="utf-8")
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
 

@@ -10,7 +10,8 @@ walls, they are joined.
 from __future__ import annotations
 
 import math
-from itertools import pairwise
+from collections import defaultdict
+from itertools import combinations, pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -66,7 +67,7 @@ def trace_floor_plan(
     robot_radius: float = 0.25,
     speck_area: float = 0.04,
     gap: float = 0.2,
-    nook_depth: float = 0.5,
+    nook_area: float = 0.5,
     tolerance: float | None = None,
 ) -> Tracing:
     """Return the floor plan of an occupancy grid in which a robot passes everywhere.
@@ -86,8 +87,9 @@ def trace_floor_plan(
     gap : float
         Metres. Free space narrower than this, such as single rays through windows, is closed; at most the robot's
         diameter is.
-    nook_depth : float
-        Metres. How far the free space goes on where the robot can't: nooks and niches that its laser sees into.
+    nook_area : float
+        Square metres. Free space that the robot can't enter but its laser sees into, such as a niche, is kept up to
+        this size; what is larger lies behind a window, or a door too narrow, and is closed.
     tolerance : float, optional
         Metres by which simplified walls may differ from the cells' sides; by default 1.5 cells. Half of it is taken
         where walls would else become too crude for the robot to pass.
@@ -98,7 +100,7 @@ def trace_floor_plan(
         If there is no free space, the robot fits nowhere or not at the start, or an argument makes no sense.
     """
     tolerance = 1.5 * grid.resolution if tolerance is None else tolerance
-    sizes = {"robot_radius": robot_radius, "speck_area": speck_area, "gap": gap, "nook_depth": nook_depth}
+    sizes = {"robot_radius": robot_radius, "speck_area": speck_area, "gap": gap, "nook_area": nook_area}
     for name, value in (sizes | {"tolerance": tolerance}).items():
         if not 0 <= value < math.inf or (name == "robot_radius" and value == 0):
             raise FloorPlanError(f"{name}: expected metres, finite and not below 0, got {shown(value)}.")
@@ -107,7 +109,10 @@ def trace_floor_plan(
         raise FloorPlanError("the map has no free cell; are the thresholds right, and negate?")
     start = grid.start if start is None else start
     corner, free = _cropped(free)
-    specks, speck_cells = _drop_specks(free, speck_area / grid.resolution**2)
+    with compile_notice():
+        specks, speck_cells = _drop_specks(
+            free, speck_area / grid.resolution**2, robot_radius / grid.resolution + CLEARANCE
+        )
     fallback: Tracing | None = None
     problems: list[FloorPlanError] = []
     for i in range(ROUNDS):
@@ -119,7 +124,7 @@ def trace_floor_plan(
             except FloorPlanError as error:
                 problems.append(error)
                 continue
-            space = _grown(centres, free, radius, gap / grid.resolution, nook_depth / grid.resolution)
+            space = _grown(centres, free, radius, gap / grid.resolution, nook_area / grid.resolution**2)
         outline = _outline(space, corner)
         dropped = grid.resolution**2 * (np.count_nonzero(free) - np.count_nonzero(space))
         for share in (1.0, 0.5):
@@ -146,16 +151,28 @@ def _cropped(free: np.ndarray) -> tuple[tuple[int, int], np.ndarray]:
     return (int(row[0]) - 1, int(column[0]) - 1), np.pad(part, 1)
 
 
-def _drop_specks(free: np.ndarray, cells_min: float) -> tuple[int, int]:
+def _drop_specks(free: np.ndarray, cells_min: float, radius: float) -> tuple[int, int]:
     """Free the groups of fewer wall cells than that, in place; return the number of groups and of cells.
 
     Cells of a group are at most one other cell apart, so that a wall that the laser saw as a row of dots is one group.
+    Several groups that together keep a robot of that radius, in cells, from going from one place to another stay too,
+    such as the posts of windows; one alone does not, such as a chair in a doorway.
     """
     walls = ~free
     groups = ndimage.label(ndimage.binary_dilation(walls, CONNECTED_8), CONNECTED_8)[0]
     groups[free] = 0
     sizes = np.bincount(groups.ravel())
     small = (sizes < cells_min) & (np.arange(len(sizes)) > 0)
+    regions = ndimage.label(~_dilated(walls, radius))[0]
+    margin = math.ceil(radius) + 1
+    posts = defaultdict(list)
+    for group, box in enumerate(ndimage.find_objects(groups), 1):
+        if small[group]:
+            around = tuple(slice(max(part.start - margin, 0), part.stop + margin) for part in box)
+            for pair in combinations(np.unique(regions[around][regions[around] > 0]), 2):
+                posts[pair].append(group)
+    for together in posts.values():
+        small[together] &= len(together) == 1
     free |= small[groups]
     return int(np.count_nonzero(small)), int(sizes[small].sum())
 
@@ -195,19 +212,19 @@ def _centres(
     raise FloorPlanError(f"start ({start[0]:g}, {start[1]:g}) is {fault}; move it, for example to ({x:.2f}, {y:.2f}).")
 
 
-def _grown(centres: np.ndarray, free: np.ndarray, radius: float, gap: float, nook_depth: float) -> np.ndarray:
+def _grown(centres: np.ndarray, free: np.ndarray, radius: float, gap: float, nook_cells: float) -> np.ndarray:
     """Return the space of a robot's centres grown back to the walls: what the robot covers, and nooks beside it.
 
-    Lengths are in cells. Free space narrower than `gap` is not entered.
+    Lengths are in cells. Free space narrower than `gap` is left out.
     """
     half_gap = min(max(1, round(gap / 2 + 0.5)), radius)
     wide = _dilated(~_dilated(~free, half_gap), half_gap)
-    reach = radius + nook_depth
-    allowed = wide & ~centres & _dilated(centres, reach)
+    covered = _dilated(centres, radius)
+    beside = ndimage.label(wide & ~covered)[0]
+    nooks = np.bincount(beside.ravel()) <= nook_cells
+    allowed = wide & ~centres & (covered | nooks[beside])
     space = centres.copy()
-    capacity = 4 * np.count_nonzero(allowed)
-    queue = np.empty((2, capacity), np.int64)
-    grow(space.ravel(), allowed.ravel(), space.shape[1], reach, queue[0], queue[1])
+    grow(space.ravel(), allowed.ravel(), space.shape[1], np.empty(4 * np.count_nonzero(allowed), np.int64))
     return space
 
 
@@ -247,7 +264,7 @@ def stamp_discs(mask, widths, result):
 
 
 @compiled
-def grow(space, allowed, columns, reach, cells, sources):
+def grow(space, allowed, columns, queue):
     """Add allowed cells to `space`, nearest first, that make no new hole of it and join it nowhere to itself.
 
     Parameters
@@ -255,10 +272,8 @@ def grow(space, allowed, columns, reach, cells, sources):
     space, allowed : (rows * columns,) bool
         Row by row; no cell of either is on the rim. The space, 4-connected, is grown in place.
     columns : int
-    reach : float
-        Cells from the one of the first space from which a cell was reached, one by one.
-    cells, sources : (4 * number of allowed cells,) int64
-        Room for the queue: a cell waits at most once for each neighbour.
+    queue : (4 * number of allowed cells,) int64
+        Room for the cells that wait: each at most once for each neighbour.
     """
     steps = (1, columns, -1, -columns)
     end = 0
@@ -266,16 +281,13 @@ def grow(space, allowed, columns, reach, cells, sources):
         if space[cell]:
             for step in steps:
                 if allowed[cell + step]:
-                    cells[end], sources[end] = cell + step, cell
+                    queue[end] = cell + step
                     end += 1
     begin = 0
     while begin < end:
-        cell, source = cells[begin], sources[begin]
+        cell = queue[begin]
         begin += 1
         if space[cell]:
-            continue
-        up, across = cell // columns - source // columns, cell % columns - source % columns
-        if up * up + across * across >= reach * reach:
             continue
         joined = 0  # Yokoi's connectivity number: 1 where the cell's neighbours stay as connected as they are
         for i in range(4):
@@ -287,7 +299,7 @@ def grow(space, allowed, columns, reach, cells, sources):
         space[cell] = True
         for step in steps:
             if allowed[cell + step] and not space[cell + step]:
-                cells[end], sources[end] = cell + step, source
+                queue[end] = cell + step
                 end += 1
 
 
