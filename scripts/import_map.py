@@ -186,8 +186,9 @@ def draw(plan: FloorPlan, grid: OccupancyGrid | None, path: Path) -> None:
         label = f"{i}\n{hole.exterior.length:,.0f} m"
         axes.text(place.x, place.y, label, ha="center", va="center", fontsize=8, color=colour["cycle"])
     x, y, heading = plan.start
-    style = {"linestyle": "", "markeredgecolor": colour["ink"], "color": colour["start"]}
-    axes.plot(x, y, marker=(3, 0, math.degrees(heading) - 90), markersize=9, label="start", **style)
+    axes.plot(x, y, "o", markersize=6, markeredgecolor=colour["ink"], color=colour["start"], label="start")
+    ahead = 0.04 * np.ptp(axes.get_xlim()) * np.array([math.cos(heading), math.sin(heading)])
+    axes.annotate("", (x + ahead[0], y + ahead[1]), (x, y), arrowprops={"arrowstyle": "->", "color": colour["ink"]})
     add_legend(axes)
     if grid is not None:
         width, height = figure.get_size_inches()

@@ -182,8 +182,8 @@ def occupancy_grid_from_mapping(data: Any, path: str | Path, *, on_white: bool =
     mode = data.get("mode", MODES[0])
     if not isinstance(mode, str) or mode.lower() not in MODES:
         raise FloorPlanError(f"mode: {unknown_name('mode', mode, MODES)}")
-    with _opened(Path(path).parent / image) as picture:
-        cells = _occupancy(picture, mode.lower(), bool(negate), occupied_thresh, free_thresh, on_white=on_white)
+    picture = _decoded(Path(path).parent / image)
+    cells = _occupancy(picture, mode.lower(), bool(negate), occupied_thresh, free_thresh, on_white=on_white)
     return OccupancyGrid(
         cells=cells[::-1],
         resolution=resolution,
@@ -204,8 +204,8 @@ def _check_size(height: int, width: int) -> None:
         )
 
 
-def _opened(path: Path) -> Image:
-    """Open a picture and decode it, after a look at its size.
+def _decoded(path: Path) -> Image:
+    """Return a picture from a file, decoded after a look at its size.
 
     Raises
     ------
@@ -218,26 +218,21 @@ def _opened(path: Path) -> Image:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", Image.DecompressionBombWarning)  # the size is checked here
             picture = Image.open(path)
+        with picture:
+            _check_size(picture.height, picture.width)
+            picture.load()
+        return picture
+    except FloorPlanError as error:
+        raise FloorPlanError(f"image: {path}: {error}") from error
     except FileNotFoundError as error:
         raise FloorPlanError(f"image: there is no file {path}.") from error
     except Image.DecompressionBombError as error:
         raise FloorPlanError(
-            f"image: {path}: the image is far too large; at most {CELLS_MAX / 1e6:g} million pixels can be traced."
+            f"image: {path}: the image is far too large; a map has at most {CELLS_MAX / 1e6:g} million pixels."
         ) from error
-    except (OSError, ValueError, SyntaxError) as error:  # Pillow's of a broken header
-        raise FloorPlanError(f"image: {path} is no picture that can be read ({_reason(error)}).") from error
-    try:
-        _check_size(picture.height, picture.width)
-        picture.load()
-    except FloorPlanError as error:
-        raise FloorPlanError(f"image: {path}: {error}") from error
-    except (OSError, ValueError, SyntaxError, EOFError) as error:
-        raise FloorPlanError(f"image: {path} is no whole picture ({_reason(error)}).") from error
-    return picture
-
-
-def _reason(error: Exception) -> str:
-    return getattr(error, "strerror", None) or " ".join(str(error).split()).rstrip(".") or type(error).__name__
+    except (OSError, ValueError, SyntaxError, EOFError) as error:  # Pillow's, of a broken header or half a file
+        reason = getattr(error, "strerror", None) or " ".join(str(error).split()).rstrip(".")
+        raise FloorPlanError(f"image: {path} is no whole picture of a format that is known ({reason}).") from error
 
 
 def _occupancy(
@@ -245,11 +240,11 @@ def _occupancy(
 ) -> np.ndarray:
     """Return the cells of a picture, `(rows, columns)` int8, row 0 at the top."""
     total, weight, transparent = _shades(picture, alpha_counts=mode == "trinary", on_white=on_white)
-    levels = np.arange(256 * weight)  # sums of `weight` channels
-    shade = np.minimum(levels / (255 * weight), 1.0)
-    occupied = shade if negate else 1.0 - shade
+    levels = np.arange(255 * weight + 1)  # sums of `weight` channels
+    white = 255 * weight
+    occupied = (levels if negate else white - levels) / white
     if mode == "raw":
-        percent = np.rint(255 * shade)
+        percent = np.rint(levels / weight)
         table = np.where(percent <= OCCUPIED, percent, UNKNOWN)
     else:
         between = (occupied - free_thresh) / (occupied_thresh - free_thresh)

@@ -159,10 +159,11 @@ def _drop_specks(free: np.ndarray, cells_min: float, radius: float) -> tuple[int
     such as the posts of windows; one alone does not, such as a chair in a doorway.
     """
     walls = ~free
-    groups = ndimage.label(ndimage.binary_dilation(walls, CONNECTED_8), CONNECTED_8)[0]
+    groups = ndimage.label(_dilated(walls, 1.5), CONNECTED_8)[0]
     groups[free] = 0
     sizes = np.bincount(groups.ravel())
-    small = (sizes < cells_min) & (np.arange(len(sizes)) > 0)
+    small = sizes < cells_min
+    small[[0, groups[0, 0]]] = False  # no wall, and the rim
     regions = ndimage.label(~_dilated(walls, radius))[0]
     margin = math.ceil(radius) + 1
     posts = defaultdict(list)
@@ -304,13 +305,26 @@ def grow(space, allowed, columns, queue):
 
 
 def _outline(space: np.ndarray, corner: tuple[int, int]) -> Polygon:
-    """Return the polygon of a connected mask, in columns and rows of the grid; its sides lie between the cells."""
-    row, column = (np.arange(size) + low + 0.5 for size, low in zip(space.shape, corner, strict=True))
+    """Return the polygon of a connected mask along its cells' sides, in columns and rows of the grid."""
     # Just above a half, where two cells that meet in a corner are not joined.
-    generator = contour_generator(column, row, space.astype(float), fill_type=FillType.OuterOffset)
+    generator = contour_generator(z=space.astype(float), fill_type=FillType.OuterOffset)
     points, offsets = (part[0] for part in generator.filled(0.5 + 1e-6, math.inf))
-    exterior, *holes = (points[a:b] for a, b in pairwise(offsets))
+    exterior, *holes = (_along_sides(points[a:b], space) + corner[::-1] for a, b in pairwise(offsets))
     return Polygon(exterior, holes)
+
+
+def _along_sides(ring: np.ndarray, space: np.ndarray) -> np.ndarray:
+    """Return a closed contour that passes between cells' centres as one that follows the cells' sides.
+
+    Where four cells meet that are free crosswise, it goes on past their corner, which it else would touch twice.
+    """
+    column, row = np.floor((ring[:-1] + ring[1:]) / 2).astype(int).T
+    crosswise = (space[row, column] == space[row + 1, column + 1]) & (space[row, column] != space[row, column + 1])
+    crosswise &= space[row, column + 1] == space[row + 1, column]
+    corners = np.stack([column, row], axis=1) + 1.0
+    both = np.stack([ring[:-1] + 0.5, corners], axis=1).reshape(-1, 2)
+    kept = np.stack([crosswise | np.roll(crosswise, 1), ~crosswise], axis=1).ravel()
+    return both[kept]
 
 
 def _simplified(polygon: Polygon, tolerance: float) -> Polygon:
