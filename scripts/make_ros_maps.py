@@ -16,8 +16,9 @@ if __name__ == "__main__":  # Ctrl-C while the packages load
 import argparse
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -54,11 +55,10 @@ OCCUPIED_FROM = 0.25
 Point = tuple[float, float]
 
 
-@dataclass(frozen=True)
-class Building:
+class Building(NamedTuple):
     """A building, and how somebody with a scanner walks through it.
 
-    Parameters
+    Attributes
     ----------
     plan : FloorPlan
     walk : tuple of ((x, y), (x, y))

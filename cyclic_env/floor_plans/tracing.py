@@ -22,7 +22,7 @@ from shapely.geometry import Point, Polygon
 
 from cyclic_env.compiled import compile_notice, compiled
 from cyclic_env.errors import FloorPlanError, shown
-from cyclic_env.floor_plans.floor_plan import NOOK_AREA, FloorPlan, Pose
+from cyclic_env.floor_plans.floor_plan import FloorPlan, Pose
 from cyclic_env.floor_plans.occupancy import OccupancyGrid
 
 ENCLOSED_SHARE = 0.1
@@ -107,41 +107,39 @@ def trace_floor_plan(
     free = grid.free
     if not free.any():
         raise FloorPlanError("the map has no free cell; are the thresholds right, and negate?")
-    start = grid.start if start is None else start
-    corner, free = _cropped(free)
     with compile_notice():
-        specks, speck_cells = _drop_specks(
-            free, speck_area / grid.resolution**2, robot_radius / grid.resolution + CLEARANCE
-        )
-    fallback: Tracing | None = None
+        _grown(np.ones((3, 3), bool), np.ones((3, 3), bool), 1.0, 1.0, 1.0)
+    start = grid.start if start is None else start
+    side = grid.resolution
+    corner, free = _cropped(free)
+    specks, speck_cells = _drop_specks(free, speck_area / side**2, robot_radius / side + CLEARANCE)
+    with_pockets: Tracing | None = None
     problems: list[FloorPlanError] = []
     for i in range(ROUNDS):
-        clearance = CLEARANCE + i / (ROUNDS - 1) * (1 + tolerance / grid.resolution)
-        radius = robot_radius / grid.resolution + clearance
-        with compile_notice():
-            try:
-                centres = _centres(free, radius, grid, corner, start)
-            except FloorPlanError as error:
-                problems.append(error)
-                continue
-            space = _grown(centres, free, radius, gap / grid.resolution, nook_area / grid.resolution**2)
+        radius = robot_radius / side + CLEARANCE + i / (ROUNDS - 1) * (1 + tolerance / side)
+        try:
+            centres = _centres(free, radius, grid, corner, start)
+        except FloorPlanError as error:
+            problems.append(error)
+            break
+        space = _grown(centres, free, radius, gap / side, nook_area / side**2)
         outline = _outline(space, corner)
-        dropped = grid.resolution**2 * (np.count_nonzero(free) - np.count_nonzero(space))
+        dropped = side**2 * int(np.count_nonzero(free) - np.count_nonzero(space))
         for share in (1.0, 0.5):
-            simple = _simplified(outline, share * tolerance / grid.resolution)
+            polygon = shapely.transform(_simplified(outline, share * tolerance / side), grid.to_world)
             try:
-                plan = _plan(grid, shapely.transform(simple, grid.to_world), start)
+                plan = _plan(grid, polygon, start)
                 home = plan.reachable(robot_radius)
             except FloorPlanError as error:
                 problems.append(error)
                 continue
-            tracing = Tracing(plan, specks, grid.resolution**2 * speck_cells, dropped)
-            if not _has_pocket(plan, home, robot_radius):
+            tracing = Tracing(plan, specks, side**2 * speck_cells, dropped)
+            if not plan.unreached(home, robot_radius):
                 return tracing
-            fallback = fallback or tracing
-    if fallback is None:
+            with_pockets = with_pockets or tracing
+    if with_pockets is None:
         raise problems[0]
-    return fallback
+    return with_pockets
 
 
 def _cropped(free: np.ndarray) -> tuple[tuple[int, int], np.ndarray]:
@@ -352,9 +350,3 @@ def _roomiest(polygon: Polygon, precision: float) -> Pose:
     lengths = shapely.distance(Point(x, y), shapely.intersection(rays, polygon.boundary))
     heading = headings[np.argmax(np.round(lengths, 6))]
     return x, y, round(float(math.remainder(heading, 2 * math.pi)), 6)
-
-
-def _has_pocket(plan: FloorPlan, home: Polygon, radius: float) -> bool:
-    """Return whether there is a place beyond the robot's reach that is more than a nook."""
-    lost = plan.free_space.difference(home.buffer(radius * 1.01, join_style="mitre"))
-    return any(part.area > NOOK_AREA for part in shapely.get_parts(lost))
