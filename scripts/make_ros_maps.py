@@ -47,8 +47,8 @@ PANE, MULLION = 0.4, 0.15
 """Metres; of the windows in outer walls, which a laser sees through, and of the posts between them."""
 YARD = 9.0
 """Metres from the building to what a laser meets outside."""
-LEGS = 400
-"""Chair legs and the like, at most 0.15 m thick."""
+LEGS = 0.2
+"""Chair legs and the like in a square metre, at most 0.15 m thick."""
 OCCUPIED_FROM = 0.25
 """Share of the beams in a cell that ended there from which it is a wall."""
 
@@ -222,7 +222,7 @@ def scan(model: Building, rng: np.random.Generator) -> OccupancyGrid:
     free_cells = np.argwhere(~solid)
     solid &= ~_seen_through(solid)
     solid[[0, -1]] = solid[:, [0, -1]] = True
-    for row, column in rng.choice(free_cells, LEGS):
+    for row, column in rng.choice(free_cells, round(LEGS * model.plan.free_area)):
         height, width = rng.integers(1, 4, 2)
         solid[row : row + height, column : column + width] = True
     hits, passes = (np.zeros(solid.size, np.int32) for _ in range(2))
@@ -242,8 +242,8 @@ def _seen_through(solid: np.ndarray) -> np.ndarray:
     inside = ndimage.binary_fill_holes(ndimage.binary_closing(~solid, iterations=round(WALL / RESOLUTION)))
     away, nearest = ndimage.distance_transform_edt(~inside, return_indices=True)
     row, column = np.indices(solid.shape)
-    lengthwise = np.where(abs(row - nearest[0]) >= abs(column - nearest[1]), column, row)
-    pane = (lengthwise * RESOLUTION) % (PANE + MULLION) < PANE
+    above, beside = row != nearest[0], column != nearest[1]  # both at the building's corners, which are solid
+    pane = (above != beside) & ((np.where(above, column, row) * RESOLUTION) % (PANE + MULLION) < PANE)
     return ~inside & ((away * RESOLUTION > WALL) | pane)
 
 

@@ -308,7 +308,7 @@ def rasterise(plan: FloorPlan, resolution: float) -> OccupancyGrid:
     free = _inside(plan.walls - (x, y, x, y), resolution, (rows, columns))
     free[_thin_walls(plan, resolution, (x, y))] = False
     cells = np.full(free.shape, UNKNOWN, np.int8)
-    cells[ndimage.binary_dilation(free, np.ones((3, 3)))] = OCCUPIED
+    cells[ndimage.binary_dilation(free, np.ones((3, 3), dtype=int))] = OCCUPIED
     cells[free] = FREE
     about = {name: getattr(plan, name) for name in ("name", "title", "source", "licence", "start")}
     return OccupancyGrid(cells=cells, resolution=resolution, origin=(x, y, 0.0), **about)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from itertools import combinations, pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import shapely
@@ -35,6 +35,9 @@ CLEARANCE = 0.5
 ROUNDS = 4
 """Where the robot does not pass through the simplified plan, wider and wider passages are closed, in the last round all
 that simplified walls may narrow too far: each wall by the tolerance, and by a cell's corner."""
+
+LONE_SHARE = 0.25
+"""Share of the size of a speck from which one alone may hold two places apart."""
 
 HEADINGS = 72
 """Among which the start's is chosen."""
@@ -83,7 +86,8 @@ def trace_floor_plan(
         Metres. Passages narrower than the robot are closed, and what lies beyond them is left out. It takes up to
         some 2 cells more than twice the radius to pass, as the cells are coarse.
     speck_area : float
-        Square metres. Smaller groups of wall cells, two cells from all others, are noise or chair legs, and dropped.
+        Square metres. Smaller groups of wall cells, two cells from all others, are noise or chair legs, and dropped,
+        unless they hold two places apart, as the posts of windows do.
     gap : float
         Metres. Free space narrower than this, such as single rays through windows, is closed; at most the robot's
         diameter is.
@@ -153,8 +157,8 @@ def _drop_specks(free: np.ndarray, cells_min: float, radius: float) -> tuple[int
     """Free the groups of fewer wall cells than that, in place; return the number of groups and of cells.
 
     Cells of a group are at most one other cell apart, so that a wall that the laser saw as a row of dots is one group.
-    Several groups that together keep a robot of that radius, in cells, from going from one place to another stay too,
-    such as the posts of windows; one alone does not, such as a chair in a doorway.
+    Groups that keep a robot of that radius, in cells, from going from one place to another stay too, such as the posts
+    of windows; but not a single one that is very small, such as noise in a doorway.
     """
     walls = ~free
     groups = ndimage.label(_dilated(walls, 1.5), CONNECTED_8)[0]
@@ -171,7 +175,8 @@ def _drop_specks(free: np.ndarray, cells_min: float, radius: float) -> tuple[int
             for pair in combinations(np.unique(regions[around][regions[around] > 0]), 2):
                 posts[pair].append(group)
     for together in posts.values():
-        small[together] &= len(together) == 1
+        if len(together) > 1 or sizes[together[0]] >= LONE_SHARE * cells_min:
+            small[together] = False
     free |= small[groups]
     return int(np.count_nonzero(small)), int(sizes[small].sum())
 
@@ -306,7 +311,8 @@ def _outline(space: np.ndarray, corner: tuple[int, int]) -> Polygon:
     """Return the polygon of a connected mask along its cells' sides, in columns and rows of the grid."""
     # Just above a half, where two cells that meet in a corner are not joined.
     generator = contour_generator(z=space.astype(float), fill_type=FillType.OuterOffset)
-    points, offsets = (part[0] for part in generator.filled(0.5 + 1e-6, math.inf))
+    parts: Any = generator.filled(0.5 + 1e-6, math.inf)
+    points, offsets = (part[0] for part in parts)
     exterior, *holes = (_along_sides(points[a:b], space) + corner[::-1] for a, b in pairwise(offsets))
     return Polygon(exterior, holes)
 
