@@ -267,9 +267,8 @@ def _shades(picture: Image, *, alpha_counts: bool, on_white: bool) -> tuple[np.n
     """
     from PIL import Image
 
-    if picture.mode.startswith(("I", "F")):  # 16 bits, or 32
-        values = np.asarray(picture)
-        return (values // 257 if values.max(initial=0) > 255 else values).clip(0, 255).astype(np.uint8), 1, None
+    if picture.mode.startswith("I"):  # 16 bits
+        return (np.asarray(picture) // 257).clip(0, 255).astype(np.uint8), 1, None
     if not picture.has_transparency_data:
         if picture.mode in ("1", "L"):
             return np.asarray(picture.convert("L")), 1, None
