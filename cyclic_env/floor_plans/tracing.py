@@ -30,7 +30,7 @@ ENCLOSED_SHARE = 0.1
 a drawing, down to this share of its area."""
 
 CLEARANCE = 0.5
-"""Cells from a robot's side to the centre of the nearest wall cell, at least: the robot is off that cell's side."""
+"""Cells between the robot and the centre of the nearest wall cell, at least: half of one, so that it is off its side."""
 
 ROUNDS = 4
 """Where the robot does not pass through the simplified plan, wider and wider passages are closed, in the last round all
@@ -83,14 +83,14 @@ def trace_floor_plan(
         World pose, metres and radians; by default the grid's. The free space that is reached from there is kept.
         Without, the largest one is kept, and the start is its roomiest point, looking along the longest line of sight.
     robot_radius : float
-        Metres. Passages narrower than the robot are closed, and what lies beyond them is left out. It takes up to
-        some 2 cells more than twice the radius to pass, as the cells are coarse.
+        Metres. Passages narrower than the robot are closed, and what lies beyond them is left out. They must be a
+        cell or two wider than the robot, or up to five where simplified walls would else be in its way.
     speck_area : float
         Square metres. Smaller groups of wall cells, two cells from all others, are noise or chair legs, and dropped,
         unless they hold two places apart, as the posts of windows do.
     gap : float
-        Metres. Free space narrower than this, such as single rays through windows, is closed; at most the robot's
-        diameter is.
+        Metres. Free space narrower than this, such as single rays through windows, is closed; but none where the
+        robot fits.
     nook_area : float
         Square metres. Free space that the robot can't enter but its laser sees into, such as a niche, is kept up to
         this size; what is larger lies behind a window, or a door too narrow, and is closed.
