@@ -30,7 +30,7 @@ ENCLOSED_SHARE = 0.1
 a drawing, down to this share of its area."""
 
 CLEARANCE = 0.5
-"""Cells between the robot and the centre of the nearest wall cell, at least: half of one, so that it is off its side."""
+"""Cells between the robot and the centre of the nearest wall cell, at least: half of one keeps it off its side."""
 
 ROUNDS = 4
 """Where the robot does not pass through the simplified plan, wider and wider passages are closed, in the last round all
