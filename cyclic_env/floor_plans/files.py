@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,29 +11,18 @@ import numpy as np
 import yaml
 
 from cyclic_env.errors import FloorPlanError, shown, unknown_name
-from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, polygon_from_corridors, polygon_from_rings
+from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
+from cyclic_env.floor_plans.occupancy import IMAGE_SUFFIXES, occupancy_grid_from_mapping
+from cyclic_env.floor_plans.tracing import trace_floor_plan
+from cyclic_env.floor_plans.yaml_files import as_list, as_number, as_start, as_text, read_yaml
 
 KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "corridors", "rooms", "centrelines")
 
 
-class _Loader(yaml.SafeLoader):
-    """The safe loader, but a key given twice is an error and not a silent choice.
-
-    Not its twin in C, which crashes the interpreter on a file that is nested too deeply.
-    """
-
-    def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[Any, Any]:
-        if not isinstance(node, yaml.MappingNode):
-            raise yaml.constructor.ConstructorError(None, None, "expected a mapping", node.start_mark)
-        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
-        for i, key in enumerate(keys):
-            if key in keys[:i]:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", node.start_mark)
-        return super().construct_mapping(node, deep=deep)
-
-
 def read_floor_plan(path: str | Path) -> FloorPlan:
-    """Read a floor plan from a YAML file.
+    """Read a floor plan from a YAML file: one of ours, or a map of ROS' ``map_server``, which has a key ``image``.
+
+    A map is traced with the defaults of `trace_floor_plan`.
 
     Raises
     ------
@@ -41,18 +30,18 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
         Naming the file and the key, if the file can't be read or does not follow the format.
     """
     path = Path(path)
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        raise FloorPlanError(
+            f"{path}: a picture does not say how large a pixel is; name a YAML file with the keys image, resolution "
+            "and origin, or run scripts/import_map.py on the picture."
+        )
+    data = read_yaml(path)
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
-    except OSError as error:
-        raise FloorPlanError(f"{path}: can't be read: {error.strerror or error}.") from error
-    except RecursionError as error:
-        raise FloorPlanError(f"{path}: is not valid YAML: it is nested too deeply.") from error
-    except (yaml.YAMLError, ValueError, AttributeError) as error:
-        # PyYAML passes on what Python says of a bad number or date, such as 2024-13-01.
-        reason = " ".join(str(error).split()).replace('in "<unicode string>", line', "at line")
-        raise FloorPlanError(f"{path}: is not valid YAML: {reason}.") from error
-    try:
-        return replace(floor_plan_from_mapping(data, default_name=path.stem), file=str(path))
+        if isinstance(data, Mapping) and "image" in data:
+            plan = trace_floor_plan(occupancy_grid_from_mapping(data, path)).plan
+        else:
+            plan = floor_plan_from_mapping(data, default_name=path.stem)
+        return replace(plan, file=str(path))
     except FloorPlanError as error:
         raise FloorPlanError(f"{path}: {error}") from error
 
@@ -104,78 +93,48 @@ def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPl
     if "exterior" in data:
         if "rooms" in data:
             raise FloorPlanError("`rooms` go with `corridors`; a plan of rings has `exterior` and `holes`.")
-        holes = [_points(hole, f"holes[{i}]") for i, hole in enumerate(_list(data.get("holes", []), "holes"))]
+        holes = [_points(hole, f"holes[{i}]") for i, hole in enumerate(as_list(data.get("holes", []), "holes"))]
         polygon = polygon_from_rings(_points(data["exterior"], "exterior"), holes)
     else:
         if "holes" in data:
             raise FloorPlanError("`holes` go with `exterior`; a plan of corridors has `corridors` and `rooms`.")
-        corridors = [_corridor(item, f"corridors[{i}]") for i, item in enumerate(_list(data["corridors"], "corridors"))]
+        corridors = [
+            _corridor(item, f"corridors[{i}]") for i, item in enumerate(as_list(data["corridors"], "corridors"))
+        ]
         if not corridors:
             raise FloorPlanError("corridors: the list is empty.")
-        rooms = [_points(room, f"rooms[{i}]") for i, room in enumerate(_list(data.get("rooms", []), "rooms"))]
+        rooms = [_points(room, f"rooms[{i}]") for i, room in enumerate(as_list(data.get("rooms", []), "rooms"))]
         polygon = polygon_from_corridors(corridors, rooms)
     lines = data.get("centrelines", [corridor["line"] for corridor in data.get("corridors", [])])
-    lines = list(lines.values()) if isinstance(lines, Mapping) else _list(lines, "centrelines")
+    lines = list(lines.values()) if isinstance(lines, Mapping) else as_list(lines, "centrelines")
     centrelines = [tuple(_points(line, f"centrelines[{i}]")) for i, line in enumerate(lines)]
     for i, line in enumerate(centrelines):
         if len(line) < 2:
             raise FloorPlanError(f"centrelines[{i}]: a line needs at least 2 points, got {len(line)}.")
     return FloorPlan(
-        name=_text(data, "name") or default_name,
+        name=as_text(data, "name") or default_name,
         free_space=polygon,
-        start=_start(data.get("start")),
-        title=_text(data, "title"),
-        source=_text(data, "source"),
-        licence=_text(data, "licence"),
+        start=as_start(data.get("start")),
+        title=as_text(data, "title"),
+        source=as_text(data, "source"),
+        licence=as_text(data, "licence"),
         centrelines=tuple(centrelines),
     )
 
 
-def _list(value: Any, key: str) -> Sequence[Any]:
-    if not isinstance(value, list | tuple):
-        raise FloorPlanError(f"{key}: expected a list, got {type(value).__name__}.")
-    return value
-
-
-def _number(value: Any, key: str) -> float:
-    # The comparison also fails for NaN, and, unlike math.isfinite, takes whole numbers of any length.
-    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= COORDINATE_MAX:
-        raise FloorPlanError(
-            f"{key}: expected a number from {-COORDINATE_MAX:g} to {COORDINATE_MAX:g}, got {shown(value)}."
-        )
-    return float(value)
-
-
 def _points(value: Any, key: str) -> list[tuple[float, float]]:
     points = []
-    for i, point in enumerate(_list(value, key)):
+    for i, point in enumerate(as_list(value, key)):
         if not isinstance(point, list | tuple) or len(point) != 2:
             raise FloorPlanError(f"{key}[{i}]: expected a point [x, y], got {shown(point)}.")
-        points.append((_number(point[0], f"{key}[{i}].x"), _number(point[1], f"{key}[{i}].y")))
+        points.append((as_number(point[0], f"{key}[{i}].x"), as_number(point[1], f"{key}[{i}].y")))
     return points
 
 
 def _corridor(value: Any, key: str) -> tuple[float, list[tuple[float, float]]]:
     if not isinstance(value, Mapping) or set(value) != {"width", "line"}:
         raise FloorPlanError(f"{key}: expected a mapping with the keys width and line, got {shown(value)}.")
-    width = _number(value["width"], f"{key}.width")
+    width = as_number(value["width"], f"{key}.width")
     if width <= 0:
         raise FloorPlanError(f"{key}.width: expected more than 0, got {width:g}.")
     return width, _points(value["line"], f"{key}.line")
-
-
-def _text(data: Mapping[str, Any], key: str) -> str:
-    value = data.get(key, "")
-    if not isinstance(value, str):
-        raise FloorPlanError(f"{key}: expected text, got {shown(value)}.")
-    return value
-
-
-def _start(value: Any) -> tuple[float, float, float]:
-    if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "heading"}:
-        raise FloorPlanError(f"start: expected a mapping with x, y and, in radians, heading; got {shown(value)}.")
-    return (
-        _number(value["x"], "start.x"),
-        _number(value["y"], "start.y"),
-        _number(value.get("heading", 0.0), "start.heading"),
-    )

@@ -187,10 +187,14 @@ class FloorPlan:
         self._check_passable(home, radius)
         return home
 
+    def unreached(self, home: Polygon, radius: float) -> list[Polygon]:
+        """Return the places, nooks aside, that a robot of that radius does not cover while its centre is in `home`."""
+        swept = shapely.make_valid(home.buffer(radius * 1.01, join_style="mitre"))  # mitres may cross
+        return [part for part in shapely.get_parts(self.free_space.difference(swept)) if part.area > NOOK_AREA]
+
     def _check_passable(self, home: Polygon, radius: float) -> None:
         """Raise unless a robot whose centre stays in `home` can lap each cycle alone and come nearly everywhere."""
-        swept = home.buffer(radius * 1.01, join_style="mitre")
-        lost = [part for part in shapely.get_parts(self.free_space.difference(swept)) if part.area > NOOK_AREA]
+        lost = self.unreached(home, radius)
         laps = [Polygon(ring) for ring in home.interiors]
         for hole in self.cycles:
             lap = next((lap for lap in laps if lap.contains(hole.representative_point())), None)

@@ -36,7 +36,7 @@ def _shipped(name: str) -> FloorPlan:
 
 
 def load_floor_plan(map_name: MapName) -> FloorPlan:
-    """Return the floor plan of a shipped name, of a YAML file, or the given plan itself.
+    """Return the floor plan of a shipped name, of a YAML file (a plan or a map of ROS), or the given plan.
 
     Raises
     ------

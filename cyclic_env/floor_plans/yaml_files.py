@@ -1,0 +1,84 @@
+"""Reading YAML, and the values in it, with one clear line for each mistake."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from cyclic_env.errors import FloorPlanError, shown
+from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, Pose
+
+
+class _Loader(yaml.SafeLoader):
+    """The safe loader, but a key given twice is an error and not a silent choice.
+
+    Not its twin in C, which crashes the interpreter on a file that is nested too deeply.
+    """
+
+    def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[Any, Any]:
+        if not isinstance(node, yaml.MappingNode):
+            raise yaml.constructor.ConstructorError(None, None, "expected a mapping", node.start_mark)
+        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
+        for i, key in enumerate(keys):
+            if key in keys[:i]:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", node.start_mark)
+        return super().construct_mapping(node, deep=deep)
+
+
+def read_yaml(path: Path) -> Any:
+    """Return what a YAML file holds.
+
+    Raises
+    ------
+    FloorPlanError
+        Naming the file, if it can't be read or is not YAML.
+    """
+    try:
+        return yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+    except OSError as error:
+        raise FloorPlanError(f"{path}: can't be read: {error.strerror or error}.") from error
+    except RecursionError as error:
+        raise FloorPlanError(f"{path}: is not valid YAML: it is nested too deeply.") from error
+    except (yaml.YAMLError, ValueError, AttributeError) as error:
+        # PyYAML passes on what Python says of a bad number or date, such as 2024-13-01.
+        reason = " ".join(str(error).split()).replace('in "<unicode string>", line', "at line")
+        raise FloorPlanError(f"{path}: is not valid YAML: {reason}.") from error
+
+
+def as_list(value: Any, key: str) -> Sequence[Any]:
+    """Return the value of a key that must be a list."""
+    if not isinstance(value, list | tuple):
+        raise FloorPlanError(f"{key}: expected a list, got {type(value).__name__}.")
+    return value
+
+
+def as_number(value: Any, key: str) -> float:
+    """Return the value of a key that must be a finite number."""
+    # The comparison also fails for NaN, and, unlike math.isfinite, takes whole numbers of any length.
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= COORDINATE_MAX:
+        raise FloorPlanError(
+            f"{key}: expected a number from {-COORDINATE_MAX:g} to {COORDINATE_MAX:g}, got {shown(value)}."
+        )
+    return float(value)
+
+
+def as_text(data: Mapping[str, Any], key: str) -> str:
+    """Return the text of a key that may be left out."""
+    value = data.get(key, "")
+    if not isinstance(value, str):
+        raise FloorPlanError(f"{key}: expected text, got {shown(value)}.")
+    return value
+
+
+def as_start(value: Any) -> Pose:
+    """Return the start pose that a mapping describes; the heading may be left out."""
+    if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "heading"}:
+        raise FloorPlanError(f"start: expected a mapping with x, y and, in radians, heading; got {shown(value)}.")
+    return (
+        as_number(value["x"], "start.x"),
+        as_number(value["y"], "start.y"),
+        as_number(value.get("heading", 0.0), "start.heading"),
+    )

@@ -1,0 +1,213 @@
+"""Make a floor plan of a map of ROS' map_server or of a picture, and look at it; or write a plan as such a map."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+if __name__ == "__main__":  # Ctrl-C while the packages load
+    signal.signal(
+        signal.SIGINT, lambda *_: (print("\nimport_map.py: nothing done yet", file=sys.stderr), os._exit(130))
+    )
+
+import argparse
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from cyclic_env import CyclicLoopError
+from cyclic_env.colours import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
+from cyclic_env.errors import ConfigError
+from cyclic_env.evaluation import check_writable
+from cyclic_env.floor_plans import (
+    FloorPlan,
+    OccupancyGrid,
+    Tracing,
+    load_floor_plan,
+    rasterise,
+    read_occupancy_grid,
+    trace_floor_plan,
+    write_floor_plan,
+    write_occupancy_grid,
+)
+from cyclic_env.floor_plans.occupancy import FREE, IMAGE_SUFFIXES, UNKNOWN
+from cyclic_env.floor_plans.yaml_files import read_yaml
+
+EXAMPLES = """examples:
+  python scripts/import_map.py willow.yaml --out my_plan.yaml --figure my_plan.png
+  python scripts/import_map.py drawing.png --resolution 0.02 --start 3.5 2 1.57 --out my_plan.yaml
+  python scripts/import_map.py killian_court --export out/maps --resolution 0.05"""
+
+SIZES = {
+    "robot_radius": "metres; of the robot that must pass (default 0.25)",
+    "speck_area": "m2; isolated specks of wall that are smaller are dropped (default 0.04)",
+    "gap": "metres; free space narrower than this is closed (default 0.2)",
+    "nook_area": "m2; free space that the robot can only see into is kept up to this size (default 0.5)",
+    "tolerance": "metres by which simplified walls may be off (default 1.5 pixels)",
+}
+FIGURE_DPI = 130
+EXPORT_RESOLUTION = 0.05
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("input", help="YAML of a map, a picture with dark walls, or, to export it, a floor plan")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="write the floor plan as YAML")
+    parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the map beside the floor plan")
+    parser.add_argument("--export", type=Path, metavar="FOLDER", help="write the floor plan as a map of map_server")
+    parser.add_argument(
+        "--resolution", type=float, metavar="M", help="metres a pixel, of a picture or of --export (there 0.05)"
+    )
+    parser.add_argument("--start", type=float, nargs=3, metavar=("X", "Y", "HEADING"), help="metres and radians")
+    for name, text in SIZES.items():
+        parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar="N", help=text)
+    args = parser.parse_args(arguments)
+    try:
+        written = run(args)
+    except (CyclicLoopError, OSError) as error:
+        print(f"import_map.py: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nimport_map.py: stopped; not all files were written.", file=sys.stderr)
+        return 130
+    print(f"\nwritten: {', '.join(map(str, written))}" if written else "\nnothing written; give --out, to keep it")
+    return 0
+
+
+def run(args: argparse.Namespace) -> list[Path]:
+    """Do what the command line asks for; return the files written.
+
+    Raises
+    ------
+    CyclicLoopError
+        If the input can't be read, or the options don't suit it.
+    """
+    if args.figure:
+        import cyclic_env.plotting  # noqa: F401 (before the work: it says what to do where matplotlib is missing)
+    for path in filter(None, (args.out, args.figure)):
+        check_writable(path)
+    options = {name: value for name in SIZES if (value := getattr(args, name)) is not None}
+    grid: OccupancyGrid | None = None
+    if is_map(args.input):
+        began = time.perf_counter()
+        picture = Path(args.input).suffix.lower() in IMAGE_SUFFIXES
+        grid = read_occupancy_grid(args.input, args.resolution if picture else None)
+        seen = time.perf_counter()
+        try:
+            tracing = trace_floor_plan(grid, start=tuple(args.start) if args.start else None, **options)
+        except CyclicLoopError as error:
+            raise ConfigError(f"{args.input}: {error}") from error
+        plan = tracing.plan
+        if not plan.source:
+            plan = replace(plan, source=f"traced from {Path(args.input).name} by scripts/import_map.py")
+        print(table(plan, grid, tracing, seen - began, time.perf_counter() - seen))
+    else:
+        if not args.export or args.start or options:
+            raise ConfigError(f"{args.input} is a floor plan already: give --export, and with it --resolution at most.")
+        plan = load_floor_plan(args.input)
+        print(table(plan))
+    written = []
+    if args.out:
+        write_floor_plan(plan, args.out)
+        written.append(args.out)
+    if args.figure:
+        draw(plan, grid, args.figure)
+        written.append(args.figure)
+    if args.export:
+        path = args.export / f"{plan.name}.yaml"
+        check_writable(path)
+        resolution = args.resolution if args.resolution is not None else grid.resolution if grid else EXPORT_RESOLUTION
+        write_occupancy_grid(rasterise(plan, resolution), path)
+        written += [path, path.with_suffix(".pgm")]
+    return written
+
+
+def is_map(name: str) -> bool:
+    """Return whether a name is that of a map or a picture, and not of a floor plan."""
+    path = Path(name)
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        return True
+    data = read_yaml(path) if path.is_file() else None
+    return isinstance(data, Mapping) and "image" in data
+
+
+def table(
+    plan: FloorPlan,
+    grid: OccupancyGrid | None = None,
+    tracing: Tracing | None = None,
+    read_s: float = 0.0,
+    traced_s: float = 0.0,
+) -> str:
+    """Return what there is to say of a plan, and of how it was traced, one thing a line."""
+    west, south, east, north = plan.bounds
+    lengths = ", ".join(f"{hole.exterior.length:,.0f}" for hole in plan.cycles)
+    x, y, heading = plan.start
+    rows = {"size": f"{east - west:,.1f} m x {north - south:,.1f} m"}
+    if grid is not None:
+        height, width = grid.cells.shape
+        rows["size"] += f", of an image of {width:,} x {height:,} pixels of {grid.resolution:g} m"
+    rows |= {
+        "free area": f"{plan.free_area:,.0f} m2",
+        "cycles": f"{plan.cycles_total}" + (f", of {lengths} m" if lengths else ""),
+        "walls": f"{len(plan.walls):,}, pillars among them {len(plan.free_space.interiors) - plan.cycles_total}",
+        "start": f"({x:g}, {y:g}), heading {math.degrees(heading):.0f} degrees",
+    }
+    if tracing is not None:
+        rows["dropped"] = (
+            f"{tracing.specks:,} specks of {tracing.speck_area:,.1f} m2 in all; {tracing.dropped_area:,.0f} m2 of free "
+            "space, out of reach or too narrow"
+        )
+        rows["time"] = f"read in {read_s:.2f} s, traced in {traced_s:.2f} s"
+    return "\n".join(f"{name:>10}  {value}" for name, value in rows.items())
+
+
+def draw(plan: FloorPlan, grid: OccupancyGrid | None, path: Path) -> None:
+    """Write a figure of the plan, with its cycles numbered, and to its left the map that it was traced from."""
+    from matplotlib.transforms import Affine2D
+
+    from cyclic_env.plotting import add_legend, plan_figure
+
+    cycles = "   ".join(f"cycle {i}: {hole.exterior.length:,.0f} m" for i, hole in enumerate(plan.cycles, 1))
+    scores = f"{plan.free_area:,.0f} m2   {len(plan.walls):,} walls   {cycles or 'no cycles'}"
+    figure, axes = plan_figure(plan, plan.title or plan.name, scores)
+    colour = {name: np.divide(rgb, 255) for name, rgb in (("cycle", RIGHT), ("start", AMBER), ("ink", INK))}
+    for i, hole in enumerate(plan.cycles, 1):
+        axes.plot(*hole.exterior.xy, color=colour["cycle"], linewidth=1.2, label="cycle" if i == 1 else None)
+        place = hole.representative_point()
+        label = f"{i}\n{hole.exterior.length:,.0f} m"
+        axes.text(place.x, place.y, label, ha="center", va="center", fontsize=8, color=colour["cycle"])
+    x, y, heading = plan.start
+    axes.plot(x, y, "o", markersize=6, markeredgecolor=colour["ink"], color=colour["start"], label="start")
+    ahead = 0.04 * np.ptp(axes.get_xlim()) * np.array([math.cos(heading), math.sin(heading)])
+    axes.annotate("", (x + ahead[0], y + ahead[1]), (x, y), arrowprops={"arrowstyle": "->", "color": colour["ink"]})
+    add_legend(axes)
+    if grid is not None:
+        width, height = figure.get_size_inches()
+        figure.set_size_inches(2 * width, height)
+        place = axes.get_position()
+        before = figure.add_axes((place.x0 / 2, place.y0, place.width / 2, place.height))
+        axes.set_position((0.5 + place.x0 / 2, place.y0, place.width / 2, place.height))
+        before.set(xlim=axes.get_xlim(), ylim=axes.get_ylim(), xticks=[], yticks=[], facecolor=np.divide(SOLID, 255))
+        shades = np.array([FLOOR, SOLID, WALL], np.uint8)
+        picture = shades[np.where(grid.cells == UNKNOWN, 1, np.where(grid.cells == FREE, 0, 2))]
+        rows, columns = grid.cells.shape
+        to_world = Affine2D().scale(grid.resolution).rotate(grid.origin[2]).translate(*grid.origin[:2])
+        extent = (0, columns, 0, rows)
+        image = before.imshow(picture, origin="lower", extent=extent, transform=to_world + before.transData)
+        image.set_clip_path(before.patch)
+        before.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())
+    figure.savefig(path, dpi=FIGURE_DPI)
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.exit(main())

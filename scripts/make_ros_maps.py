@@ -1,0 +1,278 @@
+"""Draw three buildings as maps of ROS' map_server: two as an architect would, one as a scanner leaves it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+if __name__ == "__main__":  # Ctrl-C while the packages load
+    signal.signal(
+        signal.SIGINT, lambda *_: (print("\nmake_ros_maps.py: nothing done yet", file=sys.stderr), os._exit(130))
+    )
+
+import argparse
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+from scipy import ndimage
+from shapely import Polygon
+
+from cyclic_env import CyclicLoopError
+from cyclic_env.evaluation import ProgressLine, check_writable
+from cyclic_env.floor_plans import FloorPlan, OccupancyGrid, polygon_from_corridors, rasterise, write_occupancy_grid
+from cyclic_env.floor_plans.occupancy import FREE, OCCUPIED, UNKNOWN
+
+RESOLUTION = 0.05
+"""Metres a pixel, as most scanned maps have it."""
+WALL, DOOR = 0.2, 1.1
+"""Metres; thickness and width."""
+
+BEAMS, RANGE_MAX, RANGE_SIGMA = 540, 16.0, 0.015
+"""Of the scanner; metres."""
+SCAN_SPACING = 0.5
+"""Metres walked from scan to scan."""
+OUTLIERS = 0.004
+"""Share of beams that come back from nowhere: from the air, or from beyond a wall."""
+PEOPLE = 0.2
+"""Chance that somebody stands near the scanner, and is scanned."""
+PANE, MULLION = 0.4, 0.15
+"""Metres; of the windows in outer walls, which a laser sees through, and of the posts between them."""
+YARD = 9.0
+"""Metres from the building to what a laser meets outside."""
+LEGS = 0.2
+"""Chair legs and the like in a square metre, at most 0.15 m thick."""
+OCCUPIED_FROM = 0.25
+"""Share of the beams in a cell that ended there from which it is a wall."""
+
+Point = tuple[float, float]
+
+
+class Building(NamedTuple):
+    """A building, and how somebody with a scanner walks through it.
+
+    Attributes
+    ----------
+    plan : FloorPlan
+    walk : tuple of ((x, y), (x, y))
+        Straight stretches, metres.
+    """
+
+    plan: FloorPlan
+    walk: tuple[tuple[Point, Point], ...]
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--out", type=Path, default=Path("out/ros_maps"), help="folder (default out/ros_maps)")
+    args = parser.parse_args(arguments)
+    try:
+        for name, draw in MAPS.items():
+            path = args.out / f"{name}.yaml"
+            check_writable(path)
+            grid = draw()
+            write_occupancy_grid(grid, path)
+            rows, columns = grid.cells.shape
+            print(f"written: {path}, {columns:,} x {rows:,} pixels", flush=True)
+    except (CyclicLoopError, OSError) as error:
+        print(f"make_ros_maps.py: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nmake_ros_maps.py: stopped; not all maps were written.", file=sys.stderr)
+        return 130
+    return 0
+
+
+def office_floor() -> OccupancyGrid:
+    """Return two blocks of offices with a ring of corridors around each."""
+    model = building(
+        "office_floor",
+        "Two blocks with offices on both sides of the corridors",
+        2.2,
+        [_ring(76, 38), [(38, 0), (38, 38)]],
+        [
+            ((76, 0), (0, 0), 5.5, 9),
+            ((0, 38), (76, 38), 5.5, 9),
+            ((2, 0), (36, 0), 6.0, 4),
+            ((40, 0), (74, 0), 6.0, 4),
+            ((36, 38), (2, 38), 6.0, 4),
+            ((74, 38), (40, 38), 6.0, 4),
+        ],
+    )
+    return replace(rasterise(model.plan, RESOLUTION), start=None)
+
+
+def hospital() -> OccupancyGrid:
+    """Return four courtyards, wards around them and a wing that ends, at an angle to the map's frame."""
+    model = building(
+        "hospital",
+        "Four courtyards and a wing, at an angle",
+        2.6,
+        [_ring(80, 48), [(38, 0), (38, 48)], [(0, 22), (104, 22)]],
+        [
+            ((80, 0), (0, 0), 6.5, 8),
+            ((0, 48), (80, 48), 6.5, 8),
+            ((0, 2), (0, 20), 5.0, 2),
+            ((0, 26), (0, 46), 5.0, 2),
+            ((84, 22), (104, 22), 6.0, 3),
+            ((104, 22), (84, 22), 6.0, 3),
+        ],
+    )
+    return replace(rasterise(model.plan, RESOLUTION), origin=(-40.0, 12.5, 0.3), start=None)
+
+
+def laboratory() -> OccupancyGrid:
+    """Return three blocks with laboratories along the windows, scanned on a walk through all of them."""
+    model = building(
+        "laboratory",
+        "Three blocks with laboratories along the windows, as a scanner leaves it",
+        2.4,
+        [_ring(72, 40), [(22, 0), (22, 40)], [(50, 0), (50, 40)]],
+        [
+            ((72, 0), (0, 0), 5.5, 8),
+            ((0, 40), (72, 40), 5.5, 8),
+            ((24, 0), (48, 0), 6.0, 3),
+            ((48, 40), (24, 40), 6.0, 3),
+        ],
+        furnished=True,
+    )
+    return scan(model, np.random.default_rng(0))
+
+
+MAPS: dict[str, Callable[[], OccupancyGrid]] = {draw.__name__: draw for draw in (office_floor, hospital, laboratory)}
+
+
+def building(
+    name: str,
+    title: str,
+    width: float,
+    lines: Sequence[Sequence[Point]],
+    rows: Sequence[tuple[Point, Point, float, int]],
+    *,
+    furnished: bool = False,
+) -> Building:
+    """Return a building of corridors and of rows of rooms beside them.
+
+    Parameters
+    ----------
+    name, title : str
+    width : float
+        Of the corridors, metres.
+    lines : sequence of lines
+        The corridors' middles.
+    rows : sequence of ((x, y), (x, y), depth, number)
+        Rooms to the left of the way between two points in the middle of a corridor, each with a door to it.
+    furnished : bool
+        Whether each room has a bench along its far wall and a table.
+    """
+    parts, furniture, walk = [], [], [pair for line in lines for pair in pairwise(line)]
+    near = width / 2 + WALL
+    for start, end, depth, number in rows:
+        length = math.dist(start, end)
+        ahead = np.subtract(end, start) / length
+        frame = np.array([start, ahead, (-ahead[1], ahead[0])])
+        side = length / number
+        for i in range(number):
+            west, east = side * i, side * (i + 1) - WALL
+            door = west + side * (0.35 if i % 2 else 0.6)
+            parts.append(_box(frame, west, east, near, near + depth))
+            parts.append(_box(frame, door - DOOR / 2, door + DOOR / 2, width / 2 - 0.1, near + 0.1))
+            furniture.append(_box(frame, west + 0.2 * side, west + 0.5 * side, near + depth - 0.7, near + depth))
+            table = west + side * (0.7 if i % 2 else 0.1)
+            furniture.append(_box(frame, table, table + 1.4, near + 0.4 * depth, near + 0.4 * depth + 0.8))
+            walk.append((_at(frame, door, 0.0), _at(frame, door, near + 0.5 * depth)))
+    space = polygon_from_corridors([(width, line) for line in lines], [part.exterior.coords[:-1] for part in parts])
+    if furnished:
+        space = space.difference(shapely.union_all(furniture))
+    assert isinstance(space, Polygon)
+    plan = FloorPlan(name, space, (*lines[0][0], 0.0), title, "drawn by scripts/make_ros_maps.py", "MIT")
+    return Building(plan, tuple(walk))
+
+
+def _ring(width: float, height: float) -> list[Point]:
+    return [(0, 0), (width, 0), (width, height), (0, height), (0, 0)]
+
+
+def _at(frame: np.ndarray, along: float, aside: float) -> Point:
+    x, y = frame[0] + along * frame[1] + aside * frame[2]
+    return float(x), float(y)
+
+
+def _box(frame: np.ndarray, west: float, east: float, south: float, north: float) -> Polygon:
+    return Polygon([_at(frame, u, v) for u, v in ((west, south), (east, south), (east, north), (west, north))])
+
+
+def scan(model: Building, rng: np.random.Generator) -> OccupancyGrid:
+    """Return a building as a scanner leaves it: through windows, with people, chair legs, noise and unseen corners.
+
+    Cells that no beam passed are unknown, as are those beyond the last echo of a beam that never came back.
+    """
+    clear = rasterise(model.plan, RESOLUTION)
+    margin = round(YARD / RESOLUTION)
+    corner = np.subtract(clear.origin[:2], YARD)
+    solid = np.pad(clear.cells != FREE, margin, constant_values=True)
+    free_cells = np.argwhere(~solid)
+    solid &= ~_seen_through(solid)
+    solid[[0, -1]] = solid[:, [0, -1]] = True
+    for row, column in rng.choice(free_cells, round(LEGS * model.plan.free_area)):
+        height, width = rng.integers(1, 4, 2)
+        solid[row : row + height, column : column + width] = True
+    hits, passes = (np.zeros(solid.size, np.int32) for _ in range(2))
+    progress = ProgressLine()
+    for i, (start, end) in enumerate(model.walk):
+        for place in np.linspace(start, end, 1 + math.ceil(math.dist(start, end) / SCAN_SPACING)):
+            _add_scan(solid, (place - corner) / RESOLUTION, hits, passes, rng)
+        progress.show(f"scanning: {i + 1} of {len(model.walk)} stretches walked")
+    progress.clear()
+    cells = np.where(hits > OCCUPIED_FROM * passes, OCCUPIED, np.where(passes > 0, FREE, UNKNOWN))
+    x, y = (float(value) for value in corner)
+    return replace(clear, cells=cells.reshape(solid.shape).astype(np.int8), origin=(x, y, 0.0), start=None)
+
+
+def _seen_through(solid: np.ndarray) -> np.ndarray:
+    """Return which solid cells light passes: the yard, and the panes of windows in the outer wall."""
+    inside = ndimage.binary_fill_holes(ndimage.binary_closing(~solid, iterations=round(WALL / RESOLUTION)))
+    away, nearest = ndimage.distance_transform_edt(~inside, return_indices=True)
+    row, column = np.indices(solid.shape)
+    above, beside = row != nearest[0], column != nearest[1]  # both at the building's corners, which are solid
+    pane = (above != beside) & ((np.where(above, column, row) * RESOLUTION) % (PANE + MULLION) < PANE)
+    return ~inside & ((away * RESOLUTION > WALL) | pane)
+
+
+def _add_scan(
+    solid: np.ndarray, place: np.ndarray, hits: np.ndarray, passes: np.ndarray, rng: np.random.Generator
+) -> None:
+    """Cast the beams of a scan from `place`, column and row, and count where they ended and what they passed."""
+    angles = 2 * math.pi * (np.arange(BEAMS) + rng.random()) / BEAMS
+    steps = np.arange(1, int(RANGE_MAX / RESOLUTION) + 1)
+    columns, rows = (
+        np.clip((low + steps * way[:, None]).astype(np.int64), 0, size - 1)
+        for low, way, size in zip(place, (np.cos(angles), np.sin(angles)), solid.shape[::-1], strict=True)
+    )
+    cells = rows * solid.shape[1] + columns
+    echoes = solid.ravel()[cells]
+    if rng.random() < PEOPLE:
+        distance = rng.integers(15, 60)
+        beams = rng.integers(BEAMS) + np.arange(round(0.4 / (distance * RESOLUTION) * BEAMS / (2 * math.pi)))
+        echoes[beams % BEAMS, distance] = True
+    returned = echoes.any(axis=1)
+    end = np.rint(echoes.argmax(axis=1) + rng.normal(0.0, RANGE_SIGMA / RESOLUTION, BEAMS)).astype(int)
+    stray = rng.random(BEAMS) < OUTLIERS
+    end[stray] = rng.integers(5, len(steps), np.count_nonzero(stray))
+    returned |= stray
+    end = np.where(returned, np.clip(end, 0, len(steps) - 1), 0)
+    np.add.at(passes, cells[np.arange(len(steps)) < end[:, None]], 1)
+    np.add.at(hits, cells[returned, end[returned]], 1)
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.exit(main())
