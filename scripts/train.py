@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def default_out(*, algo: str = "ppo", map_name: str = "ring", **_: object) -> Path:
     """Return the folder for a model when none is named."""
-    return Path("out") / f"{algo}_{'_'.join(Path(name).stem for name in map_name.split(','))}"
+    return Path("out") / f"{algo}_{'_'.join(Path(name).stem for name in separate_names(map_name))}"
 
 
 if __name__ == "__main__":
