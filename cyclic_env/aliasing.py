@@ -5,8 +5,8 @@ to the world's axes, as a compass allows. Two places look alike when the ranges 
 `TOLERANCE` in the mean. A place has a look-alike when any point more than `FAR` away, on the lattice or off it, looks
 like it: so no mere shift of a building's half against the lattice can hide that it is the other's twin.
 
-Look-alikes are searched for among the points of a lattice twice as fine; from the `CANDIDATES` most alike, as far as they
-are less than `HOPEFUL` apart in look, a pattern search moves on in ever smaller steps. It may miss one, never invent one.
+Look-alikes are searched for among the points of a lattice twice as fine; from the `CANDIDATES` most alike, if they
+differ by less than `HOPEFUL`, a pattern search moves on in ever smaller steps. It may miss one, but never invents one.
 """
 
 from __future__ import annotations
@@ -26,16 +26,16 @@ SPACING = 1.0
 """Metres between places."""
 
 TOLERANCE = 0.25
-"""Metres of mean range difference below which two places look alike. By about so much, 0.26 m, do two scans from one spot
-differ by the noise of the preset `calibrated` alone: what differs by less, that sensor can't tell apart at a glance."""
+"""Metres of mean range difference below which two places look alike. By the noise of the preset `calibrated` alone, two
+scans from the same spot differ by 0.28 to 0.29 m: what differs by less, they can't tell apart."""
 
 FAR = ClosureConfig().gap
 """Metres, as the crow flies, from which a look-alike counts: as far as the path that makes a closure."""
 
 CANDIDATES = 4
 HOPEFUL = 1.0
-"""Metres of mean range difference. Half a step of the fine lattice aside, a place in a corridor differs from its twin by
-0.4 to 0.8 m."""
+"""Metres of mean range difference: half a step of the fine lattice aside, a place in a corridor differs from its twin
+by some 0.6 m."""
 
 CANDIDATES_APART = 1.0
 """Metres between two candidates at least, so that the neighbours of one don't crowd out others."""
@@ -113,7 +113,7 @@ def _lattice(area: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
 
 @compiled
 def scan_points(tiles, points, directions, range_max, inverse, ranges, scans):
-    """Write the scans `(m, beams)` float32 from points `(m, 2)`, beam 0 pointing east; `inverse`, `ranges` are scratch."""
+    """Write the scans `(m, beams)` float32 from points `(m, 2)`, beam 0 pointing east; two arrays are scratch."""
     for i in range(points.shape[0]):
         scan_row(tiles, 0, points[i, 0], points[i, 1], 0.0, directions, range_max, inverse, ranges)
         for beam in range(ranges.shape[0]):

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 
 from agents.comparison import require_learning
 from cyclic_env.errors import CyclicLoopError
+from cyclic_env.floor_plans import separate_names
 
 EXAMPLE = (
     "example: python scripts/train.py --algo ppo --steps 300000 --map ring && python scripts/evaluate.py out/ppo_ring"

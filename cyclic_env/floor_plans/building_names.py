@@ -60,9 +60,9 @@ def _split_building(split: str, index: float | None) -> FloorPlan:
         raise FloorPlanError(
             f"is a pool of {count} plans, and one is wanted; name one, such as {PREFIX}:{split},index=0."
         )
-    if not index < count:
+    if not isinstance(index, int) or index >= count:
         raise FloorPlanError(f"index is {index}; {split} has the plans 0 to {count - 1}.")
-    return generate(split_spec(split, int(index)), f"{PREFIX}:{split},index={index}")
+    return generate(split_spec(split, index), f"{PREFIX}:{split},index={index}")
 
 
 def _values(items: Sequence[str], keys: Sequence[str]) -> dict[str, float]:

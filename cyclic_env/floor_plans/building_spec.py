@@ -1,4 +1,4 @@
-"""What a generated building is to be like, the splits of such buildings, and the random stream that all is drawn from."""
+"""What a generated building is to be like, the splits of such buildings, and the random stream that draws them."""
 
 from __future__ import annotations
 
@@ -42,9 +42,9 @@ class BuildingSpec:
     seed : int
         Of all that is drawn.
     size : float
-        Metres between neighbouring parallel corridors; where they are not the standard ones, from 0.75 to 1.4 times that.
+        Metres between neighbouring parallel corridors; where that is not the standard, from 0.75 to 1.4 times so much.
     width : float
-        Metres across a corridor; where it is not the standard one, from 0.75 to 1.3 times that, and at least 1.6 m.
+        Metres across a corridor; where that is not the standard, from 0.75 to 1.3 times so much, and at least 1.6 m.
     rooms : float
         Share of the stretches of corridor between crossings that have a room, where there is space for it.
     dead_ends : int
@@ -85,8 +85,8 @@ class BuildingSpec:
                 raise FloorPlanError(f"{key} is {shown(value)}; expected {kind} from {least:.10g} to {most:.10g}.")
         if self.size < self.spacing_min:
             raise FloorPlanError(
-                f"size {self.size:g} is too small for corridors {self.width:g} m wide: a block's ring must be longer than "
-                f"40 m; give size of at least {math.ceil(10 * self.spacing_min) / 10:g}, or a smaller width."
+                f"size is {self.size:g}, too small for corridors {self.width:g} m wide: a block's ring must be longer "
+                f"than 40 m; expected at least {math.ceil(10 * self.spacing_min) / 10:g}, or a smaller width."
             )
         if self.cycles == 0 and self.dead_ends < 2:
             raise FloorPlanError(

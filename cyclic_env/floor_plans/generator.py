@@ -4,9 +4,9 @@ One principle turns the dial `aliasing`: each choice that shapes a place (the wi
 spacing of the grid, the size of a room) is with that probability the building's standard one, and else drawn for that
 place alone. At 1 the same corridor, block and room stand everywhere, and places look alike; at 0 each is its own.
 
-All is drawn by ``random()`` of PCG64 alone, in an order that only the specification fixes, and rounded to the centimetre
-before any geometry. So a specification is the same building in every process and on every machine, and stays so: what a
-`version` draws never changes.
+All is drawn by ``random()`` of PCG64 alone, in an order that the specification fixes, and rounded to the centimetre before
+any geometry. So a specification is the same building in every process and on every machine, and stays so: what a `version`
+draws never changes.
 """
 
 from __future__ import annotations
@@ -14,14 +14,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 import shapely
+from shapely.geometry import LineString
 
 from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.building_spec import BuildingSpec, Draw
-from cyclic_env.floor_plans.floor_plan import RESOLUTION, FloorPlan, polygon_from_corridors
+from cyclic_env.floor_plans.floor_plan import RESOLUTION, FloorPlan
 
 WALL = 0.5
 """Metres of wall that stand at least between two parts of a building, other than where they are joined."""
@@ -90,7 +92,7 @@ def grow_path(draw: Draw, count: int) -> list[Edge]:
         x, y = nodes[-1]
         nodes.append((x + 1, y) if east else (x, y + 1))
         east = east != draw.chance(TURNS)
-    return list(zip(nodes[:-1], nodes[1:], strict=True))
+    return list(pairwise(nodes))
 
 
 def _neighbours(cell: Node) -> list[Node]:
@@ -173,7 +175,7 @@ class _Corridor(NamedTuple):
         first, last = self.first + CLEAR_OF_CROSSING, self.last - CLEAR_OF_CROSSING
         count = min(math.floor(max(last - first, 0.0) / SLOT), SLOTS_MAX)
         ends = [first + (last - first) * i / max(count, 1) for i in range(count + 1)]
-        return list(zip(ends[:-1], ends[1:], strict=True))
+        return list(pairwise(ends))
 
     def places(self) -> list[float]:
         """Return where a dead end can branch off, metres along the corridor: one a metre."""
@@ -206,9 +208,9 @@ class _Builder:
         self.spec = spec
         self.layout, self.decor = (Draw(spec.version, spec.seed, stream) for stream in (1, 2))
         self.lines: list[tuple[Point, ...]] = []  # centrelines
-        self.strips: list[tuple[float, tuple[Point, ...]]] = []  # widths and lines of corridors
-        self.taken: list[Box] = []  # around all there is
-        self.beside: list[Box] = []  # free space beside corridors
+        self.taken: list[Box] = []  # around each part
+        self.free: list[Box] = []
+        self.diagonals: list[tuple[float, list[Point]]] = []  # widths and lines of corridors around corners
         self.pillars: list[Box] = []
         self.standard = self._own_module()._replace(width=2 * round(spec.width / 2, 2))
         self.standard_cut, self.standard_spur = self.layout.between(*CUT), self.layout.between(*SPUR)
@@ -223,9 +225,10 @@ class _Builder:
     def plan(self, name: str) -> FloorPlan:
         """Return the floor plan."""
         spec, start = self.spec, self.start
-        space = polygon_from_corridors(self.strips)
-        if self.beside:
-            space = shapely.union_all([space, *shapely.box(*np.array(self.beside).T)])
+        around = [
+            LineString(line).buffer(width / 2, cap_style="square", join_style="mitre") for width, line in self.diagonals
+        ]
+        space = shapely.union_all([*shapely.box(*np.array(self.free).T), *around])
         if self.pillars:
             space = shapely.difference(space, shapely.union_all(shapely.box(*np.array(self.pillars).T)))
         space = shapely.set_precision(space, RESOLUTION).simplify(RESOLUTION)
@@ -265,9 +268,9 @@ class _Builder:
             first, last = cuts.get(a, 0.0), length - cuts.get(b, 0.0)
             hall = _Corridor((x[a[0]], y[a[1]]), (b[0] - a[0], b[1] - a[1]), length, module, first, last)
             halls.append(hall)
-            # The square ends of a strip reach half a width beyond its line: not where a diagonal begins.
-            ends = (first + hall.half * (a in cuts), last - hall.half * (b in cuts))
-            self._add_strip(module.width, hall.at(ends[0]), hall.at(ends[1]))
+            # It fills the corners that it makes with others, but ends where a diagonal begins.
+            begin, end = first - hall.half * (a not in cuts), last + hall.half * (b not in cuts)
+            self._add(hall.box(begin, end, -hall.half, hall.half))
             self.lines.append((hall.at(first), hall.at(last)))
         for node, cut in cuts.items():
             meeting = [i for i, edge in enumerate(edges) if node in edge]
@@ -277,7 +280,11 @@ class _Builder:
                 [(round(x[node[0]] + s * dx, 2), round(y[node[1]] + s * dy, 2)) for dx, dy in legs]
                 for s in (cut, cut + width / 2)
             )
-            self._add_strip(width, far[0], near[0], near[1], far[1])
+            line = [far[0], near[0], near[1], far[1]]
+            self.diagonals.append((width, line))
+            west, south, east, north = LineString(line).bounds
+            half = width / 2
+            self.taken.append((west - half, south - half, east + half, north + half))
             self.lines.append((near[0], near[1]))
         return halls
 
@@ -303,22 +310,21 @@ class _Builder:
         own = self._own_module()
         return self.standard if self.decor.chance(self.spec.aliasing) else own
 
-    def _add_strip(self, width: float, *line: Point) -> None:
-        self.strips.append((width, line))
-        x, y = zip(*line, strict=True)
-        half = width / 2
-        self.taken.append((min(x) - half, min(y) - half, max(x) + half, max(y) + half))
+    def _add(self, box: Box) -> None:
+        self.free.append(box)
+        self.taken.append(box)
 
-    def _is_clear(self, box: Box, wall: float, host: _Corridor) -> bool:
-        """Tell whether there is so much wall between a box and all that is there already, but for its own corridor."""
-        west, south, east, north = box[0] - wall, box[1] - wall, box[2] + wall, box[3] + wall
-        reach = host.half + 0.01
-        left, bottom, right, top = host.box(-reach, host.length + reach, -reach, reach)
-        return not any(
-            w < east and e > west and s < north and n > south
+    def _around(self, host: _Corridor, reach: float) -> list[Box]:
+        """Return the boxes of what there is within `reach` of a corridor, but for its own."""
+        west, south, east, north = host.box(-reach, host.length + reach, -reach, reach)
+        own = host.half + 0.01
+        left, bottom, right, top = host.box(-own, host.length + own, -own, own)
+        return [
+            (w, s, e, n)
             for w, s, e, n in self.taken
-            if not (w >= left and s >= bottom and e <= right and n <= top)
-        )
+            if w < east and e > west and s < north and n > south
+            if w < left or s < bottom or e > right or n > top
+        ]
 
     def _lay_dead_ends(self, count: int) -> list[_Corridor]:
         """Lay corridors that branch off halls and end blindly."""
@@ -332,10 +338,11 @@ class _Builder:
             along = (-side * hall.along[1], side * hall.along[0])
             length = round(hall.half + share * spec.size, 2)
             spur = _Corridor(hall.at(s), along, length, module, hall.half, length)
-            end = spur.at(length - spur.half)
-            if self._is_clear(spur.box(hall.half, length, -spur.half, spur.half), SPUR_WALL, hall):
-                self._add_strip(module.width, spur.base, end)
-                self.lines.append((spur.base, end))
+            if _is_clear(
+                spur.box(hall.half, length, -spur.half, spur.half), SPUR_WALL, self._around(hall, length + SPUR_WALL)
+            ):
+                self._add(spur.box(0.0, length, -spur.half, spur.half))
+                self.lines.append((spur.base, spur.at(length - spur.half)))
                 spurs.append(spur)
         if len(spurs) < count:
             fit = spec.dead_ends - count + len(spurs)
@@ -355,19 +362,21 @@ class _Builder:
         length, depth, door = (
             _between(ends, u) for ends, u in ((ROOM_LENGTH, length), (ROOM_DEPTH, depth), (DOOR_WIDTH, door))
         )
+        around = self._around(corridor, corridor.half + DOOR_DEPTH + ROOM_DEPTH[1] + WALL)
         for slot in (*slots[chosen:], *slots[:chosen]):
             middle = sum(slot) / 2
             for left in (side < 0.5, side >= 0.5):
                 inner, outer = corridor.half + DOOR_DEPTH, corridor.half + DOOR_DEPTH + depth
                 sign = 1 if left else -1
                 room = corridor.box(middle - length / 2, middle + length / 2, sign * inner, sign * outer)
-                if self._is_clear(room, WALL, corridor):
-                    self.beside += [room, corridor.box(middle - door / 2, middle + door / 2, 0.0, sign * (inner + 0.1))]
-                    self.taken.append(room)
+                if _is_clear(room, WALL, around):
+                    self._add(room)
+                    self.free.append(corridor.box(middle - door / 2, middle + door / 2, 0.0, sign * inner))
                     return
 
     def _lay_niches(self, corridor: _Corridor) -> None:
         """Lay the niches on both sides of a corridor, some with a pillar, where there is space for them."""
+        around = self._around(corridor, corridor.half + NICHE_DEPTH[1] + WALL)
         for sign, shares in zip((1, -1), corridor.module.niches, strict=True):
             for (begin, end), (kind, length, place, depth) in zip(corridor.slots(), shares, strict=False):
                 if kind < PLAIN:
@@ -379,15 +388,20 @@ class _Builder:
                 begin = begin + WALL / 2 + place * (end - begin - WALL - length)
                 inner, outer = corridor.half, corridor.half + depth
                 niche = corridor.box(begin, begin + length, sign * inner, sign * outer)
-                if not self._is_clear(niche, WALL, corridor):
+                if not _is_clear(niche, WALL, around):
                     continue
-                self.taken.append(niche)
-                self.beside.append(corridor.box(begin, begin + length, 0.0, sign * outer))
+                self._add(niche)
                 if pillared:
                     middle = begin + length / 2
                     self.pillars.append(
                         corridor.box(middle - PILLAR / 2, middle + PILLAR / 2, sign * inner, sign * (inner + PILLAR))
                     )
+
+
+def _is_clear(box: Box, wall: float, others: Sequence[Box]) -> bool:
+    """Tell whether there is at least so much wall between a box and all others."""
+    west, south, east, north = box[0] - wall, box[1] - wall, box[2] + wall, box[3] + wall
+    return not any(w < east and e > west and s < north and n > south for w, s, e, n in others)
 
 
 def _between(ends: tuple[float, float], share: float) -> float:

@@ -87,5 +87,5 @@ def load_floor_plans(map_name: MapName | Sequence[MapName]) -> tuple[FloorPlan, 
 
 
 def separate_names(text: str) -> list[str]:
-    """Return the maps' names of a text that has commas between them; those within a generated building's are its own."""
+    """Return the maps' names of a text that has commas between them; a generated building's name keeps its own."""
     return re.split(r",(?!\w+=)", text)
