@@ -4,9 +4,9 @@ One principle turns the dial `aliasing`: each choice that shapes a place (the wi
 spacing of the grid, the size of a room) is with that probability the building's standard one, and else drawn for that
 place alone. At 1 the same corridor, block and room stand everywhere, and places look alike; at 0 each is its own.
 
-All is drawn by ``random()`` of PCG64 alone, in an order that the specification fixes, and rounded to the centimetre before
-any geometry. So a specification is the same building in every process and on every machine, and stays so: what a `version`
-draws never changes.
+All is drawn by ``random()`` of PCG64 alone, in an order that the specification fixes, and rounded to the centimetre
+before any geometry. So a specification is the same building in every process and on every machine, and stays so: what a
+`version` draws never changes.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ DOUBLE_BLOCKS = 0.4
 """Share of the blocks that are two joined, where they are not the standard one."""
 SPUR = (0.3, 0.6)
 """Length of a dead end as a share of `size`."""
-SPUR_WALL = 1.5
+SPUR_WALL = 1.0
+"""Metres of wall that stand at least around a dead end."""
 TREE_CORRIDORS = 4
 TURNS = 0.7
 """Stretches of corridor in a row where there is no cycle, and the share of the nodes between them that are turns."""
@@ -272,21 +273,28 @@ class _Builder:
             begin, end = first - hall.half * (a not in cuts), last + hall.half * (b not in cuts)
             self._add(hall.box(begin, end, -hall.half, hall.half))
             self.lines.append((hall.at(first), hall.at(last)))
-        for node, cut in cuts.items():
-            meeting = [i for i, edge in enumerate(edges) if node in edge]
-            width = max(modules[i].width for i in meeting)
-            legs = [[(1 if edges[i][0] == node else -1) * d for d in halls[i].along] for i in meeting]
-            near, far = (
-                [(round(x[node[0]] + s * dx, 2), round(y[node[1]] + s * dy, 2)) for dx, dy in legs]
-                for s in (cut, cut + width / 2)
-            )
-            line = [far[0], near[0], near[1], far[1]]
-            self.diagonals.append((width, line))
-            west, south, east, north = LineString(line).bounds
-            half = width / 2
-            self.taken.append((west - half, south - half, east + half, north + half))
-            self.lines.append((near[0], near[1]))
+        for (i, j), cut in cuts.items():
+            meeting = [k for k, edge in enumerate(edges) if (i, j) in edge]
+            self._lay_diagonal((x[i], y[j]), cut, [halls[k] for k in meeting])
         return halls
+
+    def _lay_diagonal(self, corner: Point, cut: float, halls: Sequence[_Corridor]) -> None:
+        """Lay the corridor between two halls around their corner, as wide as the wider one, from where they are cut."""
+        width = max(hall.module.width for hall in halls)
+        legs = [[d if hall.base == corner else -d for d in hall.along] for hall in halls]
+        near, far = (
+            [(round(corner[0] + s * dx, 2), round(corner[1] + s * dy, 2)) for dx, dy in legs]
+            for s in (cut, cut + width / 2)
+        )
+        self.lines.append((near[0], near[1]))
+        self.diagonals.append((width, [far[0], near[0], near[1], far[1]]))
+        # Its box ends where its outer wall meets a hall's, a mitre beyond the cut: from there on all is the hall's.
+        ahead = cut + math.tan(math.pi / 8) * width / 2
+        (west, east), (south, north) = (
+            sorted((at - side * width / 2, at + side * ahead))
+            for at, side in zip(corner, map(sum, zip(*legs, strict=True)), strict=True)
+        )
+        self.taken.append((west, south, east, north))
 
     def _grid_lines(self, first: int, last: int) -> dict[int, float]:
         """Return the coordinates, metres, of the grid's lines of those numbers."""
