@@ -1,4 +1,4 @@
-"""Measure floor plans, shipped, generated or your own: cycles, area, tour, walls, aliasing; and draw them side by side."""
+"""Measure floor plans, shipped, generated or your own: cycles, area, tour, walls, aliasing; draw them side by side."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ import argparse
 import json
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,8 +34,7 @@ EXAMPLES = """examples:
 Aliasing is the share of a building's places that have a look-alike more than 20 m away; the figure marks them."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Row:
+class Row(NamedTuple):
     """What is measured of a plan; metres and square metres. The tour is None where its corridors are not known."""
 
     plan: str
@@ -88,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(table(rows))
     try:
         if args.json:
-            args.json.write_text(json.dumps([asdict(row) for row in rows], indent=1) + "\n", encoding="utf-8")
+            args.json.write_text(json.dumps([row._asdict() for row in rows], indent=1) + "\n", encoding="utf-8")
         if args.out:
             from cyclic_env.plotting import contact_sheet
 
@@ -121,9 +120,8 @@ def table(rows: Sequence[Row]) -> str:
     lines = [f"{'plan':<{width}}  cycles  area (m2)  closed tour (m)  walls  aliasing"]
     for row in rows:
         tour = "unknown" if row.closed_tour is None else f"{row.closed_tour:,.0f}"
-        lines.append(
-            f"{row.plan:<{width}}  {row.cycles:>6}  {row.free_area:>9,.0f}  {tour:>15}  {row.walls:>5,}  {row.aliasing:>8.2f}"
-        )
+        sizes = f"{row.cycles:>6}  {row.free_area:>9,.0f}  {tour:>15}  {row.walls:>5,}"
+        lines.append(f"{row.plan:<{width}}  {sizes}  {row.aliasing:>8.2f}")
     if len(rows) > 1:
         lines.append(f"{'mean':<{width}}  {np.mean([row.aliasing for row in rows]):>49.2f}")
     return "\n".join(lines)
