@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import fields
+from typing import Any
 
 from cyclic_env.errors import FloorPlanError, shown, unknown_name
 from cyclic_env.floor_plans.building_spec import HAND_SEED_MAX, PREFIX, SPLITS, BuildingSpec, split_spec
@@ -20,7 +21,7 @@ def is_generated(name: str) -> bool:
 def split_names(name: str) -> list[str]:
     """Return the names of all buildings of the split that is named; none if it is no split's name."""
     split = name.removeprefix(f"{PREFIX}:")
-    return [f"{PREFIX}:{split},index={i}" for i in range(SPLITS[split].count)] if split in SPLITS else []
+    return [f"{PREFIX}:{split},index={i}" for i in range(SPLITS[split].plans)] if split in SPLITS else []
 
 
 def pool_label(plans: Sequence[FloorPlan]) -> str:
@@ -54,8 +55,8 @@ def building_from_name(name: str) -> FloorPlan:
         raise FloorPlanError(f"map {shown(name)}: {error}") from error
 
 
-def _split_building(split: str, index: float | None) -> FloorPlan:
-    count = SPLITS[split].count
+def _split_building(split: str, index: int | float | None) -> FloorPlan:
+    count = SPLITS[split].plans
     if index is None:
         raise FloorPlanError(
             f"is a pool of {count} plans, and one is wanted; name one, such as {PREFIX}:{split},index=0."
@@ -65,9 +66,9 @@ def _split_building(split: str, index: float | None) -> FloorPlan:
     return generate(split_spec(split, index), f"{PREFIX}:{split},index={index}")
 
 
-def _values(items: Sequence[str], keys: Sequence[str]) -> dict[str, float]:
+def _values(items: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
     """Return the numbers of ``key=value`` items."""
-    values: dict[str, float] = {}
+    values: dict[str, Any] = {}
     for item in items:
         key, equals, text = item.partition("=")
         if key not in keys:

@@ -114,7 +114,7 @@ class BuildingSpec:
 class Split(NamedTuple):
     """A set of buildings with a name: their number, and the seed of the first."""
 
-    count: int
+    plans: int
     first_seed: int
 
 
