@@ -2,13 +2,23 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 import shapely
 from numpy.testing import assert_array_equal
 
 from cyclic_env.aliasing import CANDIDATES_APART, FAR, HOPEFUL, LASER, TOLERANCE, aliasing, look_alikes, nearest_looks
-from cyclic_env.floor_plans import BuildingSpec, FloorPlan, generate, load_floor_plan, polygon_from_corridors
+from cyclic_env.floor_plans import (
+    BuildingSpec,
+    FloorPlan,
+    generate,
+    load_floor_plan,
+    map_names,
+    polygon_from_corridors,
+)
+from cyclic_env.floor_plans.library import maps_folder
 from cyclic_env.laser import scan
 
 
@@ -93,6 +103,13 @@ def test_two_rings_exactly_alike_are_and_one_ring_is_not() -> None:
     assert share["office"] < 0.3
     assert share["chamfered"] < 0.1
     assert share["ring"] < 0.1
+
+
+@pytest.mark.parametrize("name", sorted({*map_names()} - {"killian_court"}))  # which takes too long
+def test_the_readme_table_has_the_aliasing_of_a_plan(name: str) -> None:
+    text = (maps_folder() / "README.md").read_text(encoding="utf-8")
+    (share,) = re.findall(rf"^\| `{name}` \|.*\| ([\d.]+) \|$", text, re.MULTILINE)
+    assert f"{aliasing(load_floor_plan(name)):.2f}" == share
 
 
 def test_measuring_twice_gives_the_same() -> None:
