@@ -91,7 +91,7 @@ def test_every_centreline_is_on_the_tour_and_in_free_space(spec: BuildingSpec) -
     lines = shapely.MultiLineString(plan.centrelines)
     assert plan.free_space.covers(lines)
     if len(plan.centrelines) < 20:  # the tour of a building with many crossings takes long
-        assert lines.length <= plan.closed_tour() + 1e-6 <= 2 * lines.length + 1e-6
+        assert lines.length - 1e-3 <= plan.closed_tour() <= 2 * lines.length + 1e-3  # its grid is 1e-6 m
 
 
 def free_ends(plan: FloorPlan) -> int:
