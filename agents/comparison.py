@@ -11,7 +11,7 @@ from agents.registry import agent_names, make_agent
 from cyclic_env.config import ActionType, noise_from_name
 from cyclic_env.errors import ConfigError, unknown_name
 from cyclic_env.evaluation import Evaluation, Policy, checked_seeds, evaluate
-from cyclic_env.floor_plans import load_floor_plan
+from cyclic_env.floor_plans import load_floor_plans
 from cyclic_env.vector_env import CyclicLoopVectorEnv
 
 DEFAULT_MAP = "killian_court"
@@ -107,7 +107,7 @@ def compare(
             raise ConfigError("the models were trained on different maps; say with --map on which to compare them.")
         maps = next(iter(trained_on), (DEFAULT_MAP,))
     for map_name in maps:
-        load_floor_plan(map_name)
+        load_floor_plans(map_name)
     for map_name in maps:
         for entry in contestants:
             evaluation = evaluate(

@@ -35,7 +35,7 @@ from agents.sb3 import CyclicLoopVecEnv, ScanFeatures
 from cyclic_env.config import ACTION_TYPES, ActionType, checked_name, noise_from_name
 from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation import ProgressLine
-from cyclic_env.floor_plans import load_floor_plans
+from cyclic_env.floor_plans import load_floor_plans, separate_names
 
 ALGORITHMS: Mapping[str, type[BaseAlgorithm]] = {"a2c": A2C, "ppo": PPO, "sac": SAC, "td3": TD3}
 CONTINUOUS_ONLY = ("sac", "td3")
@@ -293,7 +293,7 @@ def training_settings(given: Mapping[str, Any]) -> TrainingSettings:
     """Return the settings with the fields that are given, maps as one text with commas between, and defaults else."""
     given = dict(given)
     if "map_name" in given:
-        given["map_name"] = tuple(given["map_name"].split(","))
+        given["map_name"] = tuple(separate_names(given["map_name"]))
     return TrainingSettings(**given)
 
 

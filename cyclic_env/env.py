@@ -89,9 +89,9 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     Parameters
     ----------
     map_name : str, path, FloorPlan, or a list of these
-        A shipped plan (``cyclic_env.map_names()``), a YAML file, ours or that of a map of ROS, or a plan itself. A list
-        is a pool: every reset draws one. Give names, and paths as text, where the environment's ``spec`` is to be
-        written as JSON.
+        A shipped plan (``cyclic_env.map_names()``), a YAML file, ours or that of a map of ROS, a generated building
+        (``"generated:cycles=4,seed=7"``), or a plan itself. A list is a pool, and so is ``"generated:train"``: every
+        reset draws one. Give names, and paths as text, where the environment's ``spec`` is to be written as JSON.
     noise : str, NoiseConfig or mapping
         Preset of the sensors' errors: ``"ideal"``, ``"calibrated"``, ``"typical"``, ``"poor"``; or your own.
     action_type : {"wheels", "twist", "discrete"}

@@ -23,6 +23,7 @@ from scipy.special import stdtrit
 
 from cyclic_env.config import is_integer
 from cyclic_env.errors import ConfigError, shown
+from cyclic_env.floor_plans import pool_label
 from cyclic_env.vector_env import CyclicLoopVectorEnv
 
 METRICS = (
@@ -342,7 +343,7 @@ def evaluate(
         **settings,
     )
     config = env.engine.config
-    map_label = ",".join(plan.name for plan in config.plans)
+    map_label = pool_label(config.plans)
     line = ProgressLine() if progress else None
 
     def show(done: int, steps: int) -> None:

@@ -6,6 +6,7 @@ know no agent, and need the extra ``plot``.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 
@@ -32,6 +33,9 @@ ABOVE, BELOW, LEFT, RIGHT_OF = 0.62, 0.85, 0.55, 0.12
 """Inches around the axes: for the title, the legend, the metres, and nothing."""
 MARGIN = 0.03
 """Around the building, as a share of its longer side."""
+SHEET_COLUMNS_MAX = 8
+SCALE = 10.0
+"""Metres; of the scale below each building of a contact sheet."""
 GRAIN = 0.2
 """Metres between the points of the drawn path."""
 POINTS = 72.0
@@ -82,13 +86,39 @@ def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, 
     for spine in axes.spines.values():
         spine.set_edgecolor(_rgb(FAINT))
         spine.set_linewidth(0.5)
-    rings = [np.vstack([ring, ring[:1]]) for ring in plan.rings]
-    outline = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
-    patch = PathPatch(outline, facecolor=_rgb(FLOOR), edgecolor=_rgb(WALL), linewidth=0.7, zorder=1)
-    axes.add_patch(patch)
+    _draw_building(axes, plan, linewidth=0.7)
     figure.text(LEFT / WIDTH, 1 - 0.2 / total, title, fontsize=11, fontweight="bold", color=_rgb(INK), va="center")
     figure.text(LEFT / WIDTH, 1 - 0.42 / total, scores, fontsize=8.5, color=_rgb(INK), va="center")
     return figure, axes
+
+
+def contact_sheet(plans: Sequence[FloorPlan], captions: Sequence[str], places: Sequence[np.ndarray]) -> Figure:
+    """Return a figure of small pictures of several buildings, each as large as its cell allows, with a scale of 10 m.
+
+    Parameters
+    ----------
+    plans : sequence of FloorPlan
+    captions : sequence of str
+        Lines above each building.
+    places : sequence of (n, 2) arrays
+        Points to be marked in each, metres.
+    """
+    columns = min(math.ceil(math.sqrt(len(plans))), SHEET_COLUMNS_MAX)
+    rows = math.ceil(len(plans) / columns)
+    cell = WIDTH / columns
+    figure = Figure((WIDTH, rows * cell), layout="constrained", facecolor=_rgb(SOLID))
+    for i, (plan, caption, points) in enumerate(zip(plans, captions, places, strict=True)):
+        axes = figure.add_subplot(rows, columns, i + 1)
+        axes.set_axis_off()
+        axes.set_aspect("equal")
+        _draw_building(axes, plan, linewidth=0.4)
+        axes.scatter(*points.T, s=1.5, color=_rgb(AMBER), linewidths=0, zorder=2)
+        axes.autoscale_view()
+        west, south, *_ = plan.bounds
+        axes.plot([west, west + SCALE], [south - 4, south - 4], color=_rgb(INK), linewidth=1.2)
+        axes.annotate(f" {SCALE:g} m", (west + SCALE, south - 4), fontsize=5, color=_rgb(INK), va="center")
+        axes.set_title(caption, fontsize=6, color=_rgb(INK))
+    return figure
 
 
 def draw_path(axes: Axes, trajectory: np.ndarray, *, by_time: bool = True) -> None:
@@ -251,6 +281,13 @@ def _write(axes: Axes, text: str, position: np.ndarray, colour: Colour, size: fl
         va="center_baseline",
         zorder=zorder,
     )
+
+
+def _draw_building(axes: Axes, plan: FloorPlan, linewidth: float) -> None:
+    """Draw a building's floor and walls."""
+    rings = [np.vstack([ring, ring[:1]]) for ring in plan.rings]
+    outline = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
+    axes.add_patch(PathPatch(outline, facecolor=_rgb(FLOOR), edgecolor=_rgb(WALL), linewidth=linewidth, zorder=1))
 
 
 def _rgb(colour: Colour) -> tuple[float, float, float]:

@@ -22,6 +22,7 @@ from agents.comparison import compare
 from cyclic_env import __version__, map_names
 from cyclic_env.errors import ConfigError, CyclicLoopError
 from cyclic_env.evaluation import Evaluation, check_writable, format_table, table_notes
+from cyclic_env.floor_plans import separate_names
 
 EXAMPLES = """agents by name: {names}
 
@@ -99,7 +100,7 @@ def chosen_evaluations(args: argparse.Namespace) -> Iterator[Evaluation]:
         check_writable(args.json)
     yield from compare(
         baseline_names() if args.all_baselines else args.agents,
-        maps=args.map.split(",") if args.map else map_names() if args.all_baselines else (),
+        maps=separate_names(args.map) if args.map else map_names() if args.all_baselines else (),
         action_type=args.action_type,
         noise=args.noise,
         seeds=parse_seeds(args.seeds, args.episodes),

@@ -17,6 +17,7 @@ from collections.abc import Sequence
 
 from agents.comparison import require_learning
 from cyclic_env.errors import CyclicLoopError
+from cyclic_env.floor_plans import separate_names
 
 EXAMPLE = (
     "example: python scripts/train.py --algo ppo --steps 300000 --map ring && python scripts/evaluate.py out/ppo_ring"
@@ -68,7 +69,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def default_out(*, algo: str = "ppo", map_name: str = "ring", **_: object) -> Path:
     """Return the folder for a model when none is named."""
-    return Path("out") / f"{algo}_{'_'.join(Path(name).stem for name in map_name.split(','))}"
+    return Path("out") / f"{algo}_{'_'.join(Path(name).stem for name in separate_names(map_name))}"
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cyclic_env.config import LaserConfig
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.floor_plans.wall_tiles import build_wall_tiles
+from cyclic_env.floor_plans.wall_tiles import TILE_SIZE, build_wall_tiles
 from cyclic_env.laser import beam_directions, scan, scan_row
 
 LASER = LaserConfig()
@@ -71,6 +71,24 @@ def test_it_equals_its_twin_in_line_with_corners_and_walls(plan: FloorPlan) -> N
             np.testing.assert_allclose(scanner(*pose), scan(plan.walls, pose, LASER), rtol=0, atol=1e-9)
             checked += 1
     assert checked > 10
+
+
+@pytest.mark.parametrize("reach", [0.3, 3.0, 12.0])
+def test_each_tile_lists_the_walls_within_reach_that_face_it(plan: FloorPlan, reach: float) -> None:
+    tiles = build_wall_tiles([plan], reach)
+    west, south, columns, rows, _ = tiles.grids[0]
+    walls = shapely.linestrings(plan.walls.reshape(-1, 2, 2))
+    x1, y1, x2, y2 = plan.walls.T
+    rng = np.random.default_rng(0)
+    for tile in rng.permutation(columns * rows)[:60]:
+        x, y = west + TILE_SIZE * (tile % columns), south + TILE_SIZE * (tile // columns)
+        box = shapely.box(x, y, x + TILE_SIZE, y + TILE_SIZE)
+        corners = np.array(box.exterior.coords)
+        left = (x2 - x1)[:, None] * (corners[:, 1] - y1[:, None]) - (y2 - y1)[:, None] * (corners[:, 0] - x1[:, None])
+        expected = np.flatnonzero((left > -1e-6).any(axis=1) & (shapely.distance(walls, box) <= reach + 1e-6))
+        if not plan.free_space.intersects(box):
+            expected = expected[:0]
+        assert tiles.indices[tiles.offsets[tile] : tiles.offsets[tile + 1]].tolist() == expected.tolist()
 
 
 def test_no_beam_leaks_out_of_any_plan(plan: FloorPlan) -> None:

@@ -1,8 +1,11 @@
 """Floor plans: the polygon of free space, reading and writing it, maps of ROS, and the library of names."""
 
+from cyclic_env.floor_plans.building_names import pool_label
+from cyclic_env.floor_plans.building_spec import BuildingSpec
 from cyclic_env.floor_plans.files import floor_plan_from_mapping, read_floor_plan, write_floor_plan
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
-from cyclic_env.floor_plans.library import MapName, load_floor_plan, load_floor_plans, map_names
+from cyclic_env.floor_plans.generator import generate
+from cyclic_env.floor_plans.library import MapName, load_floor_plan, load_floor_plans, map_names, separate_names
 from cyclic_env.floor_plans.occupancy import (
     OccupancyGrid,
     occupancy_grid_from_mapping,
@@ -13,20 +16,24 @@ from cyclic_env.floor_plans.occupancy import (
 from cyclic_env.floor_plans.tracing import Tracing, trace_floor_plan
 
 __all__ = [
+    "BuildingSpec",
     "FloorPlan",
     "MapName",
     "OccupancyGrid",
     "Tracing",
     "floor_plan_from_mapping",
+    "generate",
     "load_floor_plan",
     "load_floor_plans",
     "map_names",
     "occupancy_grid_from_mapping",
     "polygon_from_corridors",
     "polygon_from_rings",
+    "pool_label",
     "rasterise",
     "read_floor_plan",
     "read_occupancy_grid",
+    "separate_names",
     "trace_floor_plan",
     "write_floor_plan",
     "write_occupancy_grid",

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Sequence
 from functools import lru_cache
 from pathlib import Path
 
 from cyclic_env.errors import FloorPlanError, shown, unknown_name
+from cyclic_env.floor_plans.building_names import building_from_name, is_generated, split_names
 from cyclic_env.floor_plans.files import read_floor_plan
 from cyclic_env.floor_plans.floor_plan import FloorPlan
 
@@ -36,18 +38,21 @@ def _shipped(name: str) -> FloorPlan:
 
 
 def load_floor_plan(map_name: MapName) -> FloorPlan:
-    """Return the floor plan of a shipped name, of a YAML file (a plan or a map of ROS), or the given plan.
+    """Return the floor plan of a shipped name, of a generated building's, or of a YAML file (ours or ROS'); or the plan.
 
     Raises
     ------
     FloorPlanError
-        If the name is unknown (the message has the nearest), or the file is missing or malformed.
+        If the name is unknown (the message has the nearest), the file is missing or malformed, or there can be no such
+        building.
     """
     if isinstance(map_name, FloorPlan):
         return map_name
     if not isinstance(map_name, str | os.PathLike):
         raise FloorPlanError(f"a map is a name, a path or a FloorPlan; got {type(map_name).__name__}.")
     text = os.fsdecode(map_name)
+    if is_generated(text):
+        return building_from_name(text)
     names = map_names()
     if text in names:
         return _shipped(text)
@@ -64,7 +69,7 @@ def load_floor_plan(map_name: MapName) -> FloorPlan:
 
 
 def load_floor_plans(map_name: MapName | Sequence[MapName]) -> tuple[FloorPlan, ...]:
-    """Return the plans of one map or of a pool of maps.
+    """Return the plans of one map or of a pool of maps; the name of a split stands for all of its buildings.
 
     Raises
     ------
@@ -72,9 +77,15 @@ def load_floor_plans(map_name: MapName | Sequence[MapName]) -> tuple[FloorPlan, 
         If the pool is empty, or a plan can't be loaded.
     """
     if isinstance(map_name, str | os.PathLike | FloorPlan):
-        return (load_floor_plan(map_name),)
+        map_name = [map_name]
     if not isinstance(map_name, Sequence) or isinstance(map_name, bytes) or not map_name:
         raise FloorPlanError(
             f"a map is a name, a path, a FloorPlan, or a list of these that is not empty; got {shown(map_name)}."
         )
-    return tuple(load_floor_plan(name) for name in map_name)
+    names = [each for name in map_name for each in (isinstance(name, str) and split_names(name)) or [name]]
+    return tuple(load_floor_plan(name) for name in names)
+
+
+def separate_names(text: str) -> list[str]:
+    """Return the maps' names of a text that has commas between them; a generated building's name keeps its own."""
+    return re.split(r",(?!\w+=)", text)

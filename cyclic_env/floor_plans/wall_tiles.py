@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -14,6 +15,9 @@ from cyclic_env.floor_plans.floor_plan import FloorPlan
 
 TILE_SIZE = 2.0
 """Metres. Smaller tiles have shorter lists, but there are more of them; 2 m keeps Killian Court's in the cache."""
+
+ROUNDING = 1e-6
+"""Metres, and square metres, by which a wall may seem out of reach, or seen from behind, and still be listed."""
 
 TILES_MAX = 2_000_000
 """Most tiles of a plan, 8 km2: a gigabyte while they are built."""
@@ -54,7 +58,8 @@ def build_wall_tiles(plans: Sequence[FloorPlan], reach: float) -> WallTiles:
     FloorPlanError
         If a plan has too many tiles.
     """
-    grids, walls, counts, indices = [], [], [], []
+    grids: list[tuple[float, float, int, int, int]] = []
+    walls, counts, indices = [], [], []
     num_tiles = num_walls = 0
     for plan in plans:
         west, south, east, north = plan.bounds
@@ -66,20 +71,16 @@ def build_wall_tiles(plans: Sequence[FloorPlan], reach: float) -> WallTiles:
             )
         x, y = np.meshgrid(west + TILE_SIZE * np.arange(nx), south + TILE_SIZE * np.arange(ny))
         boxes = shapely.box(x.ravel(), y.ravel(), x.ravel() + TILE_SIZE, y.ravel() + TILE_SIZE)
-        used = np.flatnonzero(shapely.intersects(plan.prepared_space(), boxes))
-        tree = shapely.STRtree([shapely.LineString([wall[:2], wall[2:]]) for wall in plan.walls])
-        tile, wall = tree.query(boxes[used], predicate="dwithin", distance=reach + 1e-6)
-        tile = used[tile]
-        x1, y1, x2, y2 = plan.walls[wall].T
-        corner_x = x.ravel()[tile] + TILE_SIZE * np.array([[0], [1], [0], [1]])
-        corner_y = y.ravel()[tile] + TILE_SIZE * np.array([[0], [0], [1], [1]])
-        faces = (((x2 - x1) * (corner_y - y1) - (y2 - y1) * (corner_x - x1)) > -1e-6).any(axis=0)
-        tile, wall = tile[faces], wall[faces]
-        order = np.lexsort((wall, tile))
-        walls.append(plan.walls)
+        used = shapely.intersects(plan.prepared_space(), boxes)
+        walls.append(np.ascontiguousarray(plan.walls))
         grids.append((west, south, nx, ny, num_tiles))
-        counts.append(np.bincount(tile, minlength=nx * ny))
-        indices.append(wall[order] + num_walls)
+        facing = np.zeros(nx * ny, np.int64)
+        # Once to count the walls of each tile, and once to list them.
+        list_walls(walls[-1], west, south, nx, reach + ROUNDING, used, facing, np.empty(0, np.int32))
+        listed = np.empty(facing.sum(), np.int32)
+        list_walls(walls[-1], west, south, nx, reach + ROUNDING, used, np.cumsum(facing) - facing, listed)
+        counts.append(facing)
+        indices.append(listed + num_walls)
         num_tiles += nx * ny
         num_walls += len(plan.walls)
     return WallTiles(
@@ -88,6 +89,74 @@ def build_wall_tiles(plans: Sequence[FloorPlan], reach: float) -> WallTiles:
         offsets=np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int64),
         indices=np.concatenate(indices).astype(np.int32),
     )
+
+
+@compiled
+def list_walls(walls, west, south, columns, reach, used, ends, listed):
+    """Count, or list, the walls that a point in each tile may meet: at most `reach` metres away, and facing it.
+
+    Parameters
+    ----------
+    walls : (W, 4) float64
+    west, south : float
+        The tiles' south-west corner.
+    columns : int
+    reach : float
+    used : (T,) bool
+        Tiles to have a list.
+    ends : (T,) int64
+        Written: where the list of each tile ends; where it begins, before. That counts the walls if it is 0.
+    listed : (L,) int32
+        Written: the walls' numbers, ascending for each tile. If it is empty, nothing is.
+    """
+    rows = used.shape[0] // columns
+    for w in range(walls.shape[0]):
+        x1, y1, x2, y2 = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
+        first_column = max(int((min(x1, x2) - reach - west) / TILE_SIZE) - 1, 0)
+        last_column = min(int((max(x1, x2) + reach - west) / TILE_SIZE) + 1, columns - 1)
+        first_row = max(int((min(y1, y2) - reach - south) / TILE_SIZE) - 1, 0)
+        last_row = min(int((max(y1, y2) + reach - south) / TILE_SIZE) + 1, rows - 1)
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                tile = row * columns + column
+                if not used[tile]:
+                    continue
+                # From the tile's middle, in which its corners are at -half and half.
+                half = 0.5 * TILE_SIZE
+                x, y = west + TILE_SIZE * (column + 0.5), south + TILE_SIZE * (row + 0.5)
+                dx, dy = x2 - x1, y2 - y1
+                area = dx * (y - y1) - dy * (x - x1)
+                if area + half * (abs(dx) + abs(dy)) <= -ROUNDING:  # behind it as a whole
+                    continue
+                if _square_distance(x1 - x, y1 - y, x2 - x, y2 - y, half) <= reach * reach:
+                    if listed.shape[0]:
+                        listed[ends[tile]] = w
+                    ends[tile] += 1
+
+
+@compiled
+def _square_distance(x1, y1, x2, y2, half):
+    """Return the squared distance from the segment (x1, y1), (x2, y2) to the square from -half to half."""
+    dx, dy = x2 - x1, y2 - y1
+    low, high = 0.0, 1.0  # part of the segment inside
+    for start, along in ((x1, dx), (y1, dy)):
+        if along != 0:
+            one, other = (-half - start) / along, (half - start) / along
+            low, high = max(low, min(one, other)), min(high, max(one, other))
+        elif abs(start) > half:
+            high = -1.0
+    if low <= high:
+        return 0.0
+    best = math.inf
+    for x, y in ((x1, y1), (x2, y2)):
+        beside_x, beside_y = max(abs(x) - half, 0.0), max(abs(y) - half, 0.0)
+        best = min(best, beside_x * beside_x + beside_y * beside_y)
+    for x in (-half, half):
+        for y in (-half, half):
+            share = min(max(((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy), 0.0), 1.0)
+            off_x, off_y = x1 + share * dx - x, y1 + share * dy - y
+            best = min(best, off_x * off_x + off_y * off_y)
+    return best
 
 
 @compiled

@@ -1,0 +1,138 @@
+"""Measure floor plans, shipped, generated or your own: cycles, area, tour, walls, aliasing; draw them side by side."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+if __name__ == "__main__":  # Ctrl-C while the packages load
+    signal.signal(
+        signal.SIGINT, lambda *_: (print("\nshow_plans.py: nothing done yet", file=sys.stderr), os._exit(130))
+    )
+
+import argparse
+import json
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from cyclic_env import CyclicLoopError, FloorPlan, map_names
+from cyclic_env.aliasing import look_alikes
+from cyclic_env.compiled import compile_notice
+from cyclic_env.evaluation import ProgressLine, check_writable
+from cyclic_env.floor_plans import load_floor_plans
+
+FIGURE_DPI = 150
+EXAMPLES = """examples:
+  python scripts/show_plans.py ring twin_rings generated:cycles=4,seed=7,aliasing=1
+  python scripts/show_plans.py generated:validation --out out/validation.png --json out/validation.json
+
+Aliasing is the share of a building's places that have a look-alike more than 20 m away; the figure marks them."""
+
+
+class Row(NamedTuple):
+    """What is measured of a plan; metres and square metres. The tour is None where its corridors are not known."""
+
+    plan: str
+    cycles: int
+    free_area: float
+    closed_tour: float | None
+    walls: int
+    aliasing: float
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "names",
+        nargs="+",
+        metavar="MAP",
+        help=f"{', '.join(map_names())}, generated:..., or a file; see maps/README.md",
+    )
+    parser.add_argument("--out", type=Path, metavar="FILE", help="draw the plans, and mark the places with look-alikes")
+    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to a file")
+    args = parser.parse_args(arguments)
+    plans: list[FloorPlan] = []
+    rows: list[Row] = []
+    marked: list[np.ndarray] = []
+    code = 0
+    try:
+        if args.out:
+            import cyclic_env.plotting  # noqa: F401 (before the work: it says what to do where matplotlib is missing)
+        for path in filter(None, (args.out, args.json)):
+            check_writable(path)
+        plans.extend(load_floor_plans(args.names))
+        progress = ProgressLine()
+        for plan in plans:
+            progress.show(f"{plan.name}: {len(rows)} of {len(plans)} plans measured")
+            row, places = measured(plan)
+            rows.append(row)
+            marked.append(places)
+        progress.clear()
+    except (CyclicLoopError, OSError) as error:
+        print(f"show_plans.py: {error}", file=sys.stderr)
+        code = 2
+    except KeyboardInterrupt:
+        print(f"\nshow_plans.py: stopped after {len(rows)} of {len(plans)} plans.", file=sys.stderr)
+        code = 130
+    if not rows:
+        return code
+    print(table(rows))
+    try:
+        if args.json:
+            args.json.write_text(json.dumps([row._asdict() for row in rows], indent=1) + "\n", encoding="utf-8")
+        if args.out:
+            from cyclic_env.plotting import contact_sheet
+
+            contact_sheet(plans[: len(rows)], [caption(row) for row in rows], marked).savefig(args.out, dpi=FIGURE_DPI)
+    except (ValueError, OSError) as error:  # a name that ends like no picture's
+        print(f"show_plans.py: can't write the files: {error}", file=sys.stderr)
+        return 2
+    return code
+
+
+def measured(plan: FloorPlan) -> tuple[Row, np.ndarray]:
+    """Return the measures of a plan, and its places that have a look-alike, `(n, 2)`."""
+    with compile_notice():
+        looks = look_alikes(plan)
+    tour = plan.closed_tour()
+    row = Row(
+        plan=plan.name,
+        cycles=plan.cycles_total,
+        free_area=plan.free_area,
+        closed_tour=None if math.isnan(tour) else tour,
+        walls=len(plan.walls),
+        aliasing=looks.share,
+    )
+    return row, looks.places[looks.alike]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the rows as a table, and the mean aliasing below those of several plans."""
+    width = max(len("mean"), *(len(row.plan) for row in rows))
+    lines = [f"{'plan':<{width}}  cycles  area (m2)  closed tour (m)  walls  aliasing"]
+    for row in rows:
+        tour = "unknown" if row.closed_tour is None else f"{row.closed_tour:,.0f}"
+        sizes = f"{row.cycles:>6}  {row.free_area:>9,.0f}  {tour:>15}  {row.walls:>5,}"
+        lines.append(f"{row.plan:<{width}}  {sizes}  {row.aliasing:>8.2f}")
+    if len(rows) > 1:
+        lines.append(f"{'mean':<{width}}  {np.mean([row.aliasing for row in rows]):>49.2f}")
+    return "\n".join(lines)
+
+
+def caption(row: Row) -> str:
+    """Return what stands above a plan in the figure."""
+    name = row.plan.replace(",", ", ").replace("generated:", "")
+    return f"{name}\ncycles: {row.cycles}, {row.free_area:,.0f} m2, aliasing {row.aliasing:.2f}"
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.exit(main())
