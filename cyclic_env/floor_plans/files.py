@@ -42,19 +42,33 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
     """
     path = Path(path)
     try:
-        data = yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+        plan = floor_plan_from_text(path.read_text(encoding="utf-8"), default_name=path.stem)
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be read: {error.strerror or error}.") from error
+    except UnicodeDecodeError as error:
+        raise FloorPlanError(f"{path}: is not valid YAML: {error}.") from error
+    except FloorPlanError as error:
+        raise FloorPlanError(f"{path}: {error}") from error
+    return replace(plan, file=str(path))
+
+
+def floor_plan_from_text(text: str, default_name: str = "unnamed") -> FloorPlan:
+    """Return the floor plan that a text in YAML describes.
+
+    Raises
+    ------
+    FloorPlanError
+        Naming the key, if the text does not follow the format.
+    """
+    try:
+        data = yaml.load(text, Loader=_Loader)
     except RecursionError as error:
-        raise FloorPlanError(f"{path}: is not valid YAML: it is nested too deeply.") from error
+        raise FloorPlanError("is not valid YAML: it is nested too deeply.") from error
     except (yaml.YAMLError, ValueError, AttributeError) as error:
         # PyYAML passes on what Python says of a bad number or date, such as 2024-13-01.
         reason = " ".join(str(error).split()).replace('in "<unicode string>", line', "at line")
-        raise FloorPlanError(f"{path}: is not valid YAML: {reason}.") from error
-    try:
-        return replace(floor_plan_from_mapping(data, default_name=path.stem), file=str(path))
-    except FloorPlanError as error:
-        raise FloorPlanError(f"{path}: {error}") from error
+        raise FloorPlanError(f"is not valid YAML: {reason}.") from error
+    return floor_plan_from_mapping(data, default_name=default_name)
 
 
 def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
@@ -65,7 +79,17 @@ def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
     FloorPlanError
         If the file can't be written.
     """
-    exterior, *holes = (np.round(ring, 6).tolist() for ring in plan.rings)
+    text = floor_plan_to_text(plan, digits=6)
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
+
+
+def floor_plan_to_text(plan: FloorPlan, *, digits: int | None = None) -> str:
+    """Return a floor plan as YAML rings, rounded to so many decimals; None keeps every bit."""
+    rings = plan.rings if digits is None else [np.round(ring, digits) for ring in plan.rings]
+    exterior, *holes = (ring.tolist() for ring in rings)
     texts = {key: str(getattr(plan, key)) for key in ("name", "title", "source", "licence")}
     data = {
         **texts,
@@ -76,11 +100,7 @@ def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
     }
     # Unescaped, PyYAML reads back the rarer line separators of Unicode as blanks.
     readable = all(text.isprintable() for text in texts.values())
-    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=readable)
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=readable)
 
 
 def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPlan:
