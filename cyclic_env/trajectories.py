@@ -19,7 +19,7 @@ Edge = tuple[int, int, np.ndarray, np.ndarray]
 """Two poses by their numbers i and j, the pose of j in the frame of i `(3,)`, and its information `(3, 3)`."""
 
 
-def dead_reckon(distance: Any, compass: Any, start: Sequence[float] = (0.0, 0.0)) -> np.ndarray:
+def dead_reckon(distance: Any, compass: Any, start: Any = (0.0, 0.0)) -> np.ndarray:
     """Return the poses that the distance meter and the compass give by themselves.
 
     The robot is taken to have driven each step in the direction midway between the compass's readings before and after
