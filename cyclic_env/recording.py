@@ -28,6 +28,7 @@ from cyclic_env.env import CyclicLoopEnv
 from cyclic_env.errors import ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError, shown
 from cyclic_env.evaluation import check_writable
 from cyclic_env.floor_plans import FloorPlan, floor_plan_from_text, floor_plan_to_text, load_floor_plan, map_names
+from cyclic_env.interface import checked_seed
 from cyclic_env.loop_closure import CLAIM
 from cyclic_env.trajectories import dead_reckon
 
@@ -208,13 +209,14 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Write the last episode, if that was not done, and begin another."""
         self.save()
+        seed = checked_seed(seed)
         generator = (self._core.np_random if seed is None else seeding.np_random(seed)[0]).bit_generator.state
         if generator["bit_generator"] != "PCG64":
             raise ConfigError(f"the env draws from {generator['bit_generator']}; only PCG64, NumPy's own, is recorded.")
         observation, info = self.env.reset(seed=seed, options=options)
         start = (options or {}).get("start")
         kept = {} if start is None else {"start": np.asarray(start, np.float64).tolist()}
-        self._reset = {"seed": None if seed is None else int(seed), "options": kept, "generator": generator}
+        self._reset = {"seed": seed, "options": kept, "generator": generator}
         self._episode += 1
         self._written = False
         self._ended = (False, False)
@@ -231,6 +233,7 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
         kept = real_array(action, "the action", "one of the action space", ConfigError).astype(kind)
         self._info, self._ended = info, (bool(terminated), bool(truncated))
         self._moments.append(self._moment(kept, float(reward), observation, info))
+        self._written = False
         if terminated or truncated:
             self.save()
         return observation, reward, terminated, truncated, info
