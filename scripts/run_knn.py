@@ -250,7 +250,7 @@ def score_table(metrics: dict[str, Any]) -> str:
     if metrics["path_over_tour"] is not None:
         path += f", {metrics['path_over_tour']:.2f} times the shortest tour of all corridors"
     tracks = [
-        f"{title} {metrics[f'ate_{name}_m']:.2f} m ({metrics[f'end_error_{name}_m']:.2f} m at the end)"
+        f"{title} {metrics[f'ate_{name}_m']:.2f} m ({metrics[f'ate_{name}_aligned_m']:.2f} m aligned)"
         for title, name in (("dead reckoning", "dead_reckoning"), ("corrected track", "corrected"))
         if metrics[f"ate_{name}_m"] is not None
     ]

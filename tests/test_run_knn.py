@@ -115,7 +115,8 @@ def test_the_exported_tracks_are_as_far_off_as_the_metrics_say(exported: tuple[P
     assert (there[:, 0] == corrected[:, 0]).all()
     assert metrics["ate_corrected_m"] == pytest.approx(rms(corrected, there), abs=1e-6)
     assert metrics["end_error_corrected_m"] == pytest.approx(rms(corrected[-1:], there[-1:]), abs=1e-6)
-    assert metrics["ate_corrected_m"] < 0.6 * metrics["ate_dead_reckoning_m"]  # what matching scans is for
+    # The shape of the way is what matching scans is for; which way is north, the compass alone can tell.
+    assert metrics["ate_corrected_aligned_m"] < 0.3 * metrics["ate_dead_reckoning_aligned_m"]
     for name in ("dead_reckoning", "corrected"):
         assert metrics[f"ate_{name}_aligned_m"] < metrics[f"ate_{name}_m"]
 
