@@ -27,8 +27,9 @@ if TYPE_CHECKING:
         RobotConfig,
     )
     from cyclic_env.env import CyclicLoopEnv
-    from cyclic_env.errors import ActionError, ConfigError, CyclicLoopError, FloorPlanError, UsageError
+    from cyclic_env.errors import ActionError, ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError
     from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names, read_floor_plan, write_floor_plan
+    from cyclic_env.recording import Recorder, Recording, read_recording, replay
     from cyclic_env.vector_env import CyclicLoopVectorEnv
 
 __version__ = "0.1.0"
@@ -44,8 +45,16 @@ _HOMES = {
         "RobotConfig",
     ),
     "cyclic_env.env": ("CyclicLoopEnv",),
-    "cyclic_env.errors": ("ActionError", "ConfigError", "CyclicLoopError", "FloorPlanError", "UsageError"),
+    "cyclic_env.errors": (
+        "ActionError",
+        "ConfigError",
+        "CyclicLoopError",
+        "FloorPlanError",
+        "RecordingError",
+        "UsageError",
+    ),
     "cyclic_env.floor_plans": ("FloorPlan", "load_floor_plan", "map_names", "read_floor_plan", "write_floor_plan"),
+    "cyclic_env.recording": ("Recorder", "Recording", "read_recording", "replay"),
     "cyclic_env.vector_env": ("CyclicLoopVectorEnv",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
@@ -63,12 +72,17 @@ __all__ = [
     "FloorPlanError",
     "LaserConfig",
     "NoiseConfig",
+    "Recorder",
+    "Recording",
+    "RecordingError",
     "RewardConfig",
     "RobotConfig",
     "UsageError",
     "load_floor_plan",
     "map_names",
     "read_floor_plan",
+    "read_recording",
+    "replay",
     "write_floor_plan",
 ]
 

@@ -72,6 +72,17 @@ class View:
             axis=-1,
         )
 
+    def world(self, pixel: Any) -> np.ndarray:
+        """Return the world points `(..., 2)` of pixels (column, row)."""
+        pixel = np.asarray(pixel, np.float64)
+        return np.stack(
+            [
+                self.west + (pixel[..., 0] - self.left) / self.scale,
+                self.north - (pixel[..., 1] - self.top) / self.scale,
+            ],
+            axis=-1,
+        )
+
     def zoomed(self, zoom: float) -> View:
         """Return the view of a picture `zoom` times larger."""
         return View(self.west, self.north, self.scale * zoom, self.left * zoom, self.top * zoom)

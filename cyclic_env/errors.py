@@ -23,6 +23,10 @@ class ActionError(CyclicLoopError, ValueError):
     """An action has the wrong shape or type, or holds a NaN."""
 
 
+class RecordingError(CyclicLoopError, ValueError):
+    """A recording is missing, damaged, of another layout, or can't be written."""
+
+
 class UsageError(CyclicLoopError, RuntimeError):
     """Calls came in an order that has no meaning, such as a step before the first reset."""
 

@@ -103,7 +103,8 @@ class Renderer:
                 frame[..., channel] = columns[..., channel].T
             return frame
         if self._window is None:
-            self._window = Window(canvas_size(engine.config.plans), self._fps)
+            hint = 'use render_mode="rgb_array", which needs none.'
+            self._window = Window(canvas_size(engine.config.plans), self._fps, hint)
         if self._window.is_open():
             self._window.show(draw_picture(engine, row))
         return None
@@ -118,14 +119,22 @@ class Renderer:
 class Window:
     """A window of our own, beside whatever else the process shows.
 
+    Parameters
+    ----------
+    size : (width, height)
+    fps : int
+        Pictures a second; `show` waits accordingly.
+    hint : str
+        What is to be said to who has no display.
+
     Raises
     ------
     ConfigError
         If there is no display.
     """
 
-    def __init__(self, size: tuple[int, int], fps: int) -> None:
-        hint = 'there is no display to show a window on; use render_mode="rgb_array", which needs none.'
+    def __init__(self, size: tuple[int, int], fps: int, hint: str) -> None:
+        hint = f"there is no display to show a window on; {hint}"
         shared = pygame.display.get_init()
         try:
             pygame.display.init()

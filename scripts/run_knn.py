@@ -17,27 +17,24 @@ import math
 import statistics
 import time
 from collections.abc import Sequence
-from itertools import combinations_with_replacement
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from agents.knn.config import DETECTORS, PRESETS, preset
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.knn.similarity import MEASURES
-from cyclic_env import CyclicLoopEnv, CyclicLoopError, map_names
-from cyclic_env.colours import AMBER, BEAM, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SEEN, SOLID, WALL, WRONG
+from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, map_names
 from cyclic_env.evaluation import ProgressLine, check_writable
+from cyclic_env.recording import write_recording
+from cyclic_env.trajectories import ate, write_g2o, write_tum
 
-FRAMES_MAX = 250
-"""Frames of an animation of the longest episode; one that ends earlier has fewer."""
-FRAME_WIDTH = 720
-"""Pixels."""
-FRAME_COLOURS = (FLOOR, INK, FAINT, SOLID, WALL, SEEN, PATH_OLD, PATH_NEW, AMBER, BEAM, RIGHT, WRONG)
-"""What a frame is made of, and the means of any two of these."""
-FRAME_S, LAST_FRAME_S = 0.08, 3.0
-"""Seconds for which a frame is shown, and the last."""
+if TYPE_CHECKING:
+    from cyclic_env.film import Film
+
 FIGURE_DPI = 150
+
+EXPORTS = ("episode.npz", "true.tum", "dead_reckoned.tum", "corrected.tum", "pose_graph.g2o")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -54,19 +51,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--json", type=Path, metavar="FILE", help="for the metrics (default: metrics.json in --out)")
     parser.add_argument("--human", action="store_true", help="show the run in a window")
     parser.add_argument("--no-gif", action="store_true", help="write no animation, which takes half of the time")
+    parser.add_argument(
+        "--export", type=Path, metavar="FOLDER", help="write the recording, the trajectories (TUM) and the graph (g2o)"
+    )
     args = parser.parse_args(arguments)
     picture, metrics_file = args.out / "run.png", args.json or args.out / "metrics.json"
     animation = None if args.no_gif else args.out / "run.gif"
     try:
         import cyclic_env.plotting  # noqa: F401 (before the run: it says what to do where matplotlib is missing)
+        from cyclic_env.film import Film
 
         changes = {name: value for name in ("detector", "measure") if (value := getattr(args, name)) is not None}
         explorer = KnnExplorer(preset(args.preset, **changes))
         render_mode = "human" if args.human else None
         env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start, render_mode=render_mode)
-        for path in filter(None, (picture, animation, metrics_file)):
+        exports = [] if args.export is None else [args.export / name for name in EXPORTS]
+        for path in filter(None, (picture, animation, metrics_file, *exports)):
             check_writable(path)
-        run = Run(env, Film(env) if animation else None)
+        run = Run(Recorder(env), Film(env) if animation else None)
         run.drive(explorer, args.seed)
         if not run.steps:
             print("\nrun_knn.py: stopped before the first step, so there is nothing to keep.", file=sys.stderr)
@@ -76,6 +78,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metrics = run.metrics() | settings
         print(score_table(metrics))
         metrics_file.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+        if args.export is not None:
+            export(run, args.export)
         draw_run(run, metrics, picture)
         if run.film is not None and animation is not None:
             run.film.write(animation)
@@ -85,7 +89,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\nrun_knn.py: stopped; not all files were written.", file=sys.stderr)
         return 130
-    kept = ", ".join(str(path) for path in (picture, animation, metrics_file) if path)
+    kept = ", ".join(str(path) for path in (picture, animation, metrics_file, *exports) if path)
     if run.ending == "Ctrl-C":
         print(f"run_knn.py: stopped after {run.steps:,} steps; what was run is in {kept}.", file=sys.stderr)
         return 130
@@ -93,58 +97,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-class Film:
-    """An animation of a run: its pictures, few enough, small enough and of few enough colours.
-
-    Parameters
-    ----------
-    env : CyclicLoopEnv
-    """
-
-    def __init__(self, env: CyclicLoopEnv) -> None:
-        from PIL import Image
-
-        from cyclic_env.rendering import draw_picture, pygame
-
-        self._draw_picture, self._pygame = draw_picture, pygame
-        self._env = env
-        self._frames: list[Any] = []
-        self._palette = Image.new("P", (1, 1))
-        self._palette.putpalette(
-            [
-                sum(pair) // 2
-                for a, b in combinations_with_replacement(FRAME_COLOURS, 2)
-                for pair in zip(a, b, strict=True)
-            ]
-        )
-        self._taken = -1
-
-    def take(self, step: int, *, last: bool = False) -> None:
-        """Take the picture of a step, if it is one of those to be shown or the last."""
-        from PIL import Image
-
-        if step == self._taken or (step % math.ceil(self._env.step_budget / FRAMES_MAX) and not last):
-            return
-        self._taken = step
-        surface = self._draw_picture(self._env.engine, 0)
-        picture = Image.frombytes("RGB", surface.get_size(), self._pygame.image.tobytes(surface, "RGB"))
-        size = (FRAME_WIDTH, round(FRAME_WIDTH * picture.height / picture.width))
-        picture = picture.resize(size, Image.Resampling.BOX)  # keeps areas of one colour so, which makes the file small
-        self._frames.append(picture.quantize(palette=self._palette, dither=Image.Dither.NONE))
-
-    def write(self, path: Path) -> None:
-        """Write the animation, which runs again and again."""
-        first, *others = self._frames
-        durations = [round(1000 * FRAME_S)] * len(others) + [round(1000 * LAST_FRAME_S)]
-        first.save(path, save_all=True, append_images=others, duration=durations, loop=0, optimize=False)
-
-
 class Run:
     """One episode of an explorer, as far as it has come.
 
     Parameters
     ----------
-    env : CyclicLoopEnv
+    recorder : Recorder
+        Around a `CyclicLoopEnv`.
     film : Film, optional
         That is made of it.
 
@@ -162,8 +121,8 @@ class Run:
         Seconds of each step, in the environment and in the agent.
     """
 
-    def __init__(self, env: CyclicLoopEnv, film: Film | None = None) -> None:
-        self.env = env
+    def __init__(self, recorder: Recorder, film: Film | None = None) -> None:
+        self.recorder = recorder
         self.film = film
         self.info: dict[str, Any] = {}
         self.memory: Memory | None = None
@@ -171,6 +130,13 @@ class Run:
         self.ending = ""
         self.env_s: list[float] = []
         self.agent_s: list[float] = []
+
+    @property
+    def env(self) -> CyclicLoopEnv:
+        """The environment."""
+        env = self.recorder.unwrapped
+        assert isinstance(env, CyclicLoopEnv)
+        return env
 
     @property
     def steps(self) -> int:
@@ -181,7 +147,7 @@ class Run:
         """Run the episode to its end, until there is nothing left to explore, or up to Ctrl-C."""
         progress = ProgressLine()
         try:
-            observation, self.info = self.env.reset(seed=seed)
+            observation, self.info = self.recorder.reset(seed=seed)
             state = None
             while not self.ending:
                 if self.film is not None:
@@ -189,7 +155,7 @@ class Run:
                 began = time.perf_counter()
                 action, state = explorer.predict(observation, state)
                 decided = time.perf_counter()
-                observation, reward, terminated, truncated, self.info = self.env.step(action)
+                observation, reward, terminated, truncated, self.info = self.recorder.step(action)
                 self.env_s.append(time.perf_counter() - decided)
                 self.agent_s.append(decided - began)
                 self.total += reward
@@ -210,6 +176,13 @@ class Run:
         if self.film is not None and self.steps:
             self.film.take(self.steps, last=True)
 
+    def recording(self) -> Recording:
+        """Return the recording, with the explorer's corrected track: its places as they are after all corrections."""
+        assert self.memory is not None
+        places, start = self.memory.places, self.env.trajectory()[0, :2]
+        corrected = np.column_stack([places.step, places.pose[:, :2] + start, places.pose[:, 2]])
+        return self.recorder.recording({"corrected": corrected})
+
     def metrics(self) -> dict[str, Any]:
         """Return the last info's scalars and what else there is to say of the run, as plain values."""
         assert self.memory is not None
@@ -226,10 +199,49 @@ class Run:
             "rows": self.memory.places.count,
             "rows_compared": self.memory.detector.compared,
             "open_areas": len(self.memory.areas.listed),
+            **track_errors(self.recording()),
             "seconds_per_step_env": statistics.fmean(self.env_s),
             "seconds_per_step_agent": statistics.fmean(self.agent_s),
             "seconds_per_step_agent_median": statistics.median(self.agent_s),
         }
+
+
+def track_errors(recording: Recording) -> dict[str, float | None]:
+    """Return the errors of dead reckoning, at every step, and of the corrected track, at its places; metres.
+
+    ``ate`` is the absolute trajectory error in the true frame, ``aligned`` after a rigid alignment, ``end`` the error
+    of the last position. None where there is no place yet.
+    """
+    true, errors = recording.poses[:, :2], dict[str, float | None]()
+    corrected = recording.tracks["corrected"]
+    estimates = {
+        "dead_reckoning": (recording.dead_reckoned[:, :2], true),
+        "corrected": (corrected[:, 1:3], true[corrected[:, 0].astype(int)]),
+    }
+    for name, (estimated, truth) in estimates.items():
+        some = len(estimated) > 0
+        errors[f"ate_{name}_m"] = ate(estimated, truth) if some else None
+        errors[f"ate_{name}_aligned_m"] = ate(estimated, truth, align=True) if some else None
+        errors[f"end_error_{name}_m"] = ate(estimated[-1:], truth[-1:]) if some else None
+    return errors
+
+
+def export(run: Run, folder: Path) -> None:
+    """Write the files of `EXPORTS` into a folder."""
+    assert run.memory is not None
+    recording, track = run.recording(), run.memory.track
+    corrected = recording.tracks["corrected"]
+    write_recording(recording, folder / "episode.npz")
+    write_tum(folder / "true.tum", recording.times, recording.poses)
+    write_tum(folder / "dead_reckoned.tum", recording.times, recording.dead_reckoned)
+    write_tum(folder / "corrected.tum", recording.dt * corrected[:, 0], corrected[:, 1:])
+    write_g2o(
+        folder / "pose_graph.g2o",
+        corrected[:, 1:],
+        track.edges,
+        track.heading_information,
+        run.memory.places.compass,
+    )
 
 
 def score_table(metrics: dict[str, Any]) -> str:
@@ -237,6 +249,11 @@ def score_table(metrics: dict[str, Any]) -> str:
     path = f"{metrics['path_length_m']:,.0f} m"
     if metrics["path_over_tour"] is not None:
         path += f", {metrics['path_over_tour']:.2f} times the shortest tour of all corridors"
+    tracks = [
+        f"{title} {metrics[f'ate_{name}_m']:.2f} m ({metrics[f'ate_{name}_aligned_m']:.2f} m aligned)"
+        for title, name in (("dead reckoning", "dead_reckoning"), ("corrected track", "corrected"))
+        if metrics[f"ate_{name}_m"] is not None
+    ]
     times = [1000 * metrics[f"seconds_per_step_{name}"] for name in ("env", "agent", "agent_median")]
     rows = {
         "cycles closed": f"{metrics['cycles_closed']} of {metrics['cycles_total']}",
@@ -244,6 +261,7 @@ def score_table(metrics: dict[str, Any]) -> str:
         "revisits recognised": f"{metrics['revisits_recognised']} of {metrics['revisits']}",
         "seen": f"{metrics['coverage']:.1%}",
         "path": path,
+        "off, rms": ", ".join(tracks),
         "return": f"{metrics['return']:.1f}",
         "collisions": f"{metrics['collisions']}",
         "steps": f"{metrics['steps']:,}, ended by: {metrics['ending']}",

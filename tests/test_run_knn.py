@@ -12,10 +12,13 @@ from conftest import load_script
 from PIL import Image
 
 from agents.knn.explorer import KnnExplorer
-from cyclic_env import CyclicLoopEnv
+from agents.navigation.poses import relative
+from cyclic_env import CyclicLoopEnv, replay
+from cyclic_env.film import FRAMES_MAX
 
 run_knn = load_script("run_knn")
 
+TRACKS = ("true", "dead_reckoned", "corrected")
 FILES = {"run.png", "run.gif", "metrics.json"}
 
 
@@ -65,7 +68,7 @@ def test_figure_and_animation_are_there_and_small(out: Path) -> None:
     with Image.open(out / "run.png") as picture:
         assert picture.width == 1500
     with Image.open(out / "run.gif") as animation:
-        assert 20 < getattr(animation, "n_frames", 1) <= run_knn.FRAMES_MAX + 1
+        assert 20 < getattr(animation, "n_frames", 1) <= FRAMES_MAX + 1
     assert (out / "run.gif").stat().st_size < 3e6
     assert (out / "run.png").stat().st_size < 5e5
 
@@ -82,6 +85,59 @@ def test_options_reach_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str
     table = capsys.readouterr().out
     assert f"cycles closed  {metrics['cycles_closed']} of 1" in table
     assert f"false claims  {metrics['false_claims']} of {metrics['claims']}" in table
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    """Return the folder of the exports of a noisy run, and its metrics."""
+    out = tmp_path_factory.mktemp("export")
+    arguments = ["--map", "figure_eight", "--noise", "calibrated", "--seed", "1", "--no-gif", "--out", str(out)]
+    assert run_knn.main([*arguments, "--export", str(out / "files")]) == 0
+    return out / "files", json.loads((out / "metrics.json").read_text())
+
+
+def test_a_run_is_exported_and_replays_to_the_bit(exported: tuple[Path, dict[str, Any]]) -> None:
+    folder, metrics = exported
+    assert {path.name for path in folder.iterdir()} == set(run_knn.EXPORTS)
+    outcome = replay(folder / "episode.npz")
+    assert outcome.equal
+    assert outcome.steps == metrics["steps"]
+    assert outcome.info["claims"] == metrics["claims"]
+
+
+def test_the_exported_tracks_are_as_far_off_as_the_metrics_say(exported: tuple[Path, dict[str, Any]]) -> None:
+    folder, metrics = exported
+    true, reckoned, corrected = (np.loadtxt(folder / f"{name}.tum") for name in TRACKS)
+    assert len(true) == len(reckoned) == metrics["steps"] + 1
+    assert len(corrected) == metrics["rows"]
+    assert metrics["ate_dead_reckoning_m"] == pytest.approx(rms(reckoned, true), abs=1e-6)
+    there = true[np.searchsorted(true[:, 0], corrected[:, 0])]
+    assert (there[:, 0] == corrected[:, 0]).all()
+    assert metrics["ate_corrected_m"] == pytest.approx(rms(corrected, there), abs=1e-6)
+    assert metrics["end_error_corrected_m"] == pytest.approx(rms(corrected[-1:], there[-1:]), abs=1e-6)
+    # The shape of the way is what matching scans is for; which way is north, the compass alone can tell.
+    assert metrics["ate_corrected_aligned_m"] < 0.3 * metrics["ate_dead_reckoning_aligned_m"]
+    for name in ("dead_reckoning", "corrected"):
+        assert metrics[f"ate_{name}_aligned_m"] < metrics[f"ate_{name}_m"]
+
+
+def rms(estimated: np.ndarray, true: np.ndarray) -> float:
+    return float(np.sqrt(((estimated[:, 1:3] - true[:, 1:3]) ** 2).sum(axis=1).mean()))
+
+
+def test_the_exported_graph_has_a_vertex_a_place_and_its_edges_fit(exported: tuple[Path, dict[str, Any]]) -> None:
+    folder, metrics = exported
+    lines = [line.split() for line in (folder / "pose_graph.g2o").read_text().splitlines()]
+    places = np.array([line[2:] for line in lines if line[0] == "VERTEX_SE2"], float)
+    edges = np.array([line[1:] for line in lines if line[0] == "EDGE_SE2"], float)
+    corrected = np.loadtxt(folder / "corrected.tum")
+    assert places[:, :2] == pytest.approx(corrected[:, 1:3], abs=1e-8)
+    i, j = edges[:, :2].astype(int).T
+    assert set(zip(range(len(places) - 1), range(1, len(places)), strict=True)) <= set(zip(i, j, strict=True))
+    assert (j - i > 5).any()  # loops
+    off = relative(places[i], places[j])[:, :2] - edges[:, 2:4]
+    assert np.median(np.hypot(*off.T)) < 0.05
+    assert metrics["rows"] == len(places)
 
 
 def test_a_plan_without_centrelines_has_no_tour_to_compare_with(tmp_path: Path) -> None:
@@ -148,6 +204,7 @@ def test_ctrl_c_before_the_first_step_leaves_one_line(
         (["--noise", "tipical"], "Did you mean 'typical'?"),
         (["--seed", "-1"], "seed is -1"),
         (["--json", "tests"], "can't write to tests"),
+        (["--export", "README.md"], "can't write to README.md"),
     ],
 )
 def test_bad_input_gets_one_line(

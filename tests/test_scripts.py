@@ -111,7 +111,7 @@ def test_ctrl_c_in_evaluate_keeps_the_agents_that_are_done(
     assert [entry["agent"] for entry in json.loads(file.read_text())["evaluations"]] == ["standing_still", "spinning"]
 
 
-@pytest.mark.parametrize("script", ["evaluate", "train", "benchmark", "run_knn", "show_plans"])
+@pytest.mark.parametrize("script", ["evaluate", "train", "benchmark", "run_knn", "show_plans", "replay", "play"])
 def test_ctrl_c_while_the_packages_load_leaves_one_line(script: str) -> None:
     code = (
         "import os, runpy, signal, sys\n"

@@ -83,6 +83,11 @@ class Track:
         """The last reading of the compass as a heading."""
         return 0.0 if self._compass is None else self._compass
 
+    @property
+    def heading_information(self) -> float:
+        """Inverse variance of the compass's readings at the places, as the graph takes it."""
+        return 1 / max(FIELD_REACH * self._wander, TURN_ERROR**2)
+
     def advance(self, distance: float, compass: np.ndarray) -> None:
         """Take a reading of the distance meter and of the compass `(2,)`."""
         heading = math.atan2(compass[1], compass[0])
@@ -177,14 +182,13 @@ class Track:
 
     def _mend(self, places: Places) -> None:
         last = places.pose[-1].copy()
-        information = 1 / max(FIELD_REACH * self._wander, TURN_ERROR**2)
         places.pose[:] = optimise(
             places.pose,
             np.array([(i, j) for i, j, _, _ in self.edges]),
             np.array([measured for _, _, measured, _ in self.edges]),
             np.array([information for *_, information in self.edges]),
             places.compass,
-            np.full(places.count, information),
+            np.full(places.count, self.heading_information),
         )
         self.pose = compose(places.pose[-1], relative(last, self.pose))
         self._bias = wrap(self._bias + places.pose[-1, 2] - last[2])

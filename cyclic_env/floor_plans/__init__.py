@@ -2,7 +2,13 @@
 
 from cyclic_env.floor_plans.building_names import pool_label
 from cyclic_env.floor_plans.building_spec import BuildingSpec
-from cyclic_env.floor_plans.files import floor_plan_from_mapping, read_floor_plan, write_floor_plan
+from cyclic_env.floor_plans.files import (
+    floor_plan_from_mapping,
+    floor_plan_from_text,
+    floor_plan_to_text,
+    read_floor_plan,
+    write_floor_plan,
+)
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
 from cyclic_env.floor_plans.generator import generate
 from cyclic_env.floor_plans.library import MapName, load_floor_plan, load_floor_plans, map_names, separate_names
@@ -22,6 +28,8 @@ __all__ = [
     "OccupancyGrid",
     "Tracing",
     "floor_plan_from_mapping",
+    "floor_plan_from_text",
+    "floor_plan_to_text",
     "generate",
     "load_floor_plan",
     "load_floor_plans",

@@ -14,7 +14,7 @@ from cyclic_env.errors import FloorPlanError, shown, unknown_name
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
 from cyclic_env.floor_plans.occupancy import IMAGE_SUFFIXES, occupancy_grid_from_mapping
 from cyclic_env.floor_plans.tracing import trace_floor_plan
-from cyclic_env.floor_plans.yaml_files import as_list, as_number, as_start, as_text, read_yaml
+from cyclic_env.floor_plans.yaml_files import as_list, as_number, as_start, as_text, parse_yaml, read_yaml
 
 KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "corridors", "rooms", "centrelines")
 
@@ -46,6 +46,17 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
         raise FloorPlanError(f"{path}: {error}") from error
 
 
+def floor_plan_from_text(text: str) -> FloorPlan:
+    """Return the floor plan that a text in our YAML format describes.
+
+    Raises
+    ------
+    FloorPlanError
+        Naming the key, if the text does not follow the format.
+    """
+    return floor_plan_from_mapping(parse_yaml(text))
+
+
 def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
     """Write a floor plan as YAML rings, to the micrometre.
 
@@ -54,7 +65,17 @@ def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
     FloorPlanError
         If the file can't be written.
     """
-    exterior, *holes = (np.round(ring, 6).tolist() for ring in plan.rings)
+    text = floor_plan_to_text(plan, digits=6)
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
+
+
+def floor_plan_to_text(plan: FloorPlan, *, digits: int | None = None) -> str:
+    """Return a floor plan as YAML rings, rounded to so many decimals; None keeps every bit."""
+    rings = plan.rings if digits is None else [np.round(ring, digits) for ring in plan.rings]
+    exterior, *holes = (ring.tolist() for ring in rings)
     texts = {key: str(getattr(plan, key)) for key in ("name", "title", "source", "licence")}
     data = {
         **texts,
@@ -65,11 +86,7 @@ def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
     }
     # Unescaped, PyYAML reads back the rarer line separators of Unicode as blanks.
     readable = all(text.isprintable() for text in texts.values())
-    text = yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=readable)
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=readable)
 
 
 def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPlan:

@@ -38,7 +38,7 @@ def _shipped(name: str) -> FloorPlan:
 
 
 def load_floor_plan(map_name: MapName) -> FloorPlan:
-    """Return the floor plan of a shipped name, of a generated building's, or of a YAML file (ours or ROS'); or the plan.
+    """Return the floor plan of a shipped name, a generated building's name, or a YAML file (ours or ROS'); or the plan.
 
     Raises
     ------

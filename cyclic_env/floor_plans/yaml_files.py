@@ -37,15 +37,31 @@ def read_yaml(path: Path) -> Any:
         Naming the file, if it can't be read or is not YAML.
     """
     try:
-        return yaml.load(path.read_text(encoding="utf-8"), Loader=_Loader)
+        return parse_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be read: {error.strerror or error}.") from error
+    except UnicodeDecodeError as error:
+        raise FloorPlanError(f"{path}: is not valid YAML: {error}.") from error
+    except FloorPlanError as error:
+        raise FloorPlanError(f"{path}: {error}") from error
+
+
+def parse_yaml(text: str) -> Any:
+    """Return what a text in YAML holds.
+
+    Raises
+    ------
+    FloorPlanError
+        If it is not YAML.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
     except RecursionError as error:
-        raise FloorPlanError(f"{path}: is not valid YAML: it is nested too deeply.") from error
+        raise FloorPlanError("is not valid YAML: it is nested too deeply.") from error
     except (yaml.YAMLError, ValueError, AttributeError) as error:
         # PyYAML passes on what Python says of a bad number or date, such as 2024-13-01.
         reason = " ".join(str(error).split()).replace('in "<unicode string>", line', "at line")
-        raise FloorPlanError(f"{path}: is not valid YAML: {reason}.") from error
+        raise FloorPlanError(f"is not valid YAML: {reason}.") from error
 
 
 def as_list(value: Any, key: str) -> Sequence[Any]:

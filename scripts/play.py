@@ -1,0 +1,123 @@
+"""Drive the robot by hand, on any map, claim to be back at known places, and keep a recording of it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+if __name__ == "__main__":  # Ctrl-C while the packages load
+    signal.signal(signal.SIGINT, lambda *_: (print("\nplay.py: nothing done yet", file=sys.stderr), os._exit(130)))
+
+import argparse
+from collections.abc import Sequence
+
+from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopError, Recorder, map_names
+from cyclic_env.errors import shown
+from cyclic_env.play import SHOWS, Play
+
+EPILOG = """keys: arrows or WASD drive, with Shift slowly; Space claims to be back at the ringed place of the own way,
+which is the nearest one left long enough ago, or one picked by a click on the way (right click: the nearest again); P
+pauses, R begins again, Esc ends."""
+SPEED_MAX = 20.0
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+    parser = argparse.ArgumentParser(description=__doc__, epilog=EPILOG)
+    parser.add_argument("--map", default="ring", help=f"{', '.join(map_names())}, or a file (default ring)")
+    parser.add_argument("--noise", default="ideal", help="ideal, calibrated, typical or poor (default ideal)")
+    parser.add_argument("--seed", type=int, default=0, help="of noise and random start (default 0)")
+    parser.add_argument("--random-start", action="store_true", help="draw the start (default: the plan's own)")
+    parser.add_argument("--show", default="robot", help=f"{' or '.join(SHOWS)} (default robot: what it has sensed)")
+    parser.add_argument("--speed", type=float, default=2.0, help="times real time (default 2)")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="NPZ; each time from R on gets a number")
+    args = parser.parse_args(arguments)
+    code = 0
+    try:
+        if not 0 < args.speed <= SPEED_MAX:
+            raise ConfigError(f"--speed is {shown(args.speed)}; expected a number above 0, at most {SPEED_MAX:g}.")
+        env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start)
+        with Recorder(env, args.record) as recorder:
+            play = Play(recorder, seed=args.seed, show=args.show)
+            try:
+                run(play, args.speed)
+            except KeyboardInterrupt:
+                code = 130
+            recorder.save()
+            print(scores(play))
+            if recorder.path is not None and recorder.steps:
+                print(f"\nrecorded: {recorder.path}; see it again: python scripts/replay.py {recorder.path} --human")
+    except (CyclicLoopError, OSError) as error:
+        print(f"play.py: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nplay.py: stopped.", file=sys.stderr)
+        return 130
+    return code
+
+
+def run(play: Play, speed: float) -> None:
+    """Show the play in a window, and let the keys drive it, until Esc or until the window is closed."""
+    from cyclic_env.drawing import pygame
+    from cyclic_env.play_view import draw_play, play_size, play_view
+    from cyclic_env.rendering import Window
+
+    drives = {
+        pygame.K_UP: "forward",
+        pygame.K_w: "forward",
+        pygame.K_DOWN: "back",
+        pygame.K_s: "back",
+        pygame.K_LEFT: "left",
+        pygame.K_a: "left",
+        pygame.K_RIGHT: "right",
+        pygame.K_d: "right",
+        pygame.K_LSHIFT: "slow",
+        pygame.K_RSHIFT: "slow",
+    }
+    presses = {pygame.K_SPACE: play.claim, pygame.K_p: play.pause, pygame.K_r: play.restart}
+    steps_per_s = max(1, round(speed / play.core.engine.config.robot.dt))
+    window = Window(play_size(play), steps_per_s, "a person can't play without one.")
+    try:
+        while window.is_open():
+            for event in pygame.event.get():
+                if event.type == pygame.QUIT or (event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE):
+                    return
+                if event.type == pygame.KEYDOWN and event.key in drives:
+                    play.held.add(drives[event.key])
+                elif event.type == pygame.KEYUP and event.key in drives:
+                    play.held.discard(drives[event.key])
+                elif event.type == pygame.KEYDOWN and event.key in presses:
+                    presses[event.key]()
+                elif event.type == pygame.MOUSEBUTTONDOWN and event.button == 1:
+                    play.pick(play_view(play).world(event.pos))
+                elif event.type == pygame.MOUSEBUTTONDOWN and event.button == 3:
+                    play.unpick()
+                elif event.type == pygame.WINDOWFOCUSLOST:
+                    play.held.clear()  # nobody will tell when the keys are let go
+            play.tick()
+            window.show(draw_play(play))
+    finally:
+        window.close()
+
+
+def scores(play: Play) -> str:
+    """Return the scores, one a line."""
+    info = play.info
+    rows = {
+        "cycles closed": f"{info['cycles_closed']} of {info['cycles_total']}",
+        "false claims": f"{info['false_claims']} of {info['claims']}",
+        "revisits recognised": f"{info['revisits_recognised']} of {info['revisits']}",
+        "seen": f"{info['coverage']:.1%}",
+        "path": f"{info['path_length_m']:,.0f} m",
+        "return": f"{play.total:.1f}",
+        "steps": f"{play.steps:,}",
+    }
+    return "\n".join(f"{name:>20}  {value}" for name, value in rows.items())
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.exit(main())

@@ -1,0 +1,95 @@
+"""Replay a recorded episode, say whether it is the same to the bit, and print its scores."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+if __name__ == "__main__":  # Ctrl-C while the packages load
+    signal.signal(signal.SIGINT, lambda *_: (print("\nreplay.py: nothing done yet", file=sys.stderr), os._exit(130)))
+
+import argparse
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+from cyclic_env import CyclicLoopEnv, CyclicLoopError, RecordingError, read_recording, replay
+from cyclic_env.evaluation import ProgressLine, check_writable
+from cyclic_env.recording import Recording, Replay
+from cyclic_env.trajectories import ate
+
+if TYPE_CHECKING:
+    from cyclic_env.film import Film
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command; return its exit code: 0 if bit-equal, 1 if not, 2 for bad input, 130 after Ctrl-C."""
+    parser = argparse.ArgumentParser(description=__doc__, epilog="Exit code: 0 bit-equal, 1 not, 2 bad input.")
+    parser.add_argument("file", type=Path, metavar="FILE", help="recording of an episode, NPZ")
+    parser.add_argument("--gif", type=Path, metavar="FILE", help="write an animation of it")
+    parser.add_argument("--human", action="store_true", help="show it in a window, in real time")
+    args = parser.parse_args(arguments)
+    progress = ProgressLine()
+    film: Film | None = None
+    try:
+        recording = read_recording(args.file)
+        if args.gif is not None:
+            import cyclic_env.film  # noqa: F401 (before the replay: it says what to do where something is missing)
+
+            check_writable(args.gif)
+
+        def on_step(env: CyclicLoopEnv, step: int) -> None:
+            nonlocal film
+            progress.show(f"step {step:,} of {recording.steps:,}")
+            if args.gif is not None:
+                from cyclic_env.film import Film
+
+                film = Film(env) if film is None else film
+                film.take(step, last=step == recording.steps)
+
+        try:
+            outcome = replay(recording, render_mode="human" if args.human else None, on_step=on_step)
+        except RecordingError as error:
+            raise RecordingError(f"{args.file}: {error}") from error
+        finally:
+            progress.clear()
+        print(report(recording, outcome))
+        if film is not None:
+            film.write(args.gif)
+            print(f"\nwritten: {args.gif}")
+    except (CyclicLoopError, OSError) as error:
+        print(f"replay.py: {error}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("\nreplay.py: stopped before the end, so nothing is said or written.", file=sys.stderr)
+        return 130
+    return 0 if outcome.equal else 1
+
+
+def report(recording: Recording, outcome: Replay) -> str:
+    """Return the verdict and the scores of the replay, one a line."""
+    info, ended = outcome.info, recording.terminated or recording.truncated
+    off = {"dead reckoning": (recording.dead_reckoned[:, :2], recording.poses[:, :2])}
+    for name, track in recording.tracks.items():
+        if len(track) and (track[:, 0] >= 0).all() and (track[:, 0] <= recording.steps).all():
+            off[f"{name} track"] = (track[:, 1:3], recording.poses[track[:, 0].astype(int), :2])
+    rows = {
+        "map, sensors": f"{recording.map}, {recording.noise}, seed {recording.seed}",
+        "cycles closed": f"{info['cycles_closed']} of {info['cycles_total']}",
+        "false claims": f"{info['false_claims']} of {info['claims']}",
+        "revisits recognised": f"{info['revisits_recognised']} of {info['revisits']}",
+        "seen": f"{info['coverage']:.1%}",
+        "path": f"{info['path_length_m']:,.0f} m",
+        "off, rms": ", ".join(f"{name} {ate(*pair):.2f} m" for name, pair in off.items()),
+        "return": f"{outcome.episode_return:.1f}",
+        "collisions": f"{info['collisions']}",
+        "steps": f"{outcome.steps:,}" + ("" if ended else ", cut short"),
+    }
+    return "\n".join([outcome.verdict(), *(f"{name:>20}  {value}" for name, value in rows.items())])
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.exit(main())
