@@ -86,10 +86,22 @@ def test_wrap_stays_within_half_a_turn(angle: float, wrapped: float) -> None:
 # Scans.
 
 
-def test_despeckle_is_the_median_of_five_beams() -> None:
+def test_despeckle_is_the_median_of_five_medians_of_three() -> None:
     ranges, out = np.random.default_rng(0).random(BEAMS), np.empty(BEAMS)
     despeckle(ranges, out)
-    np.testing.assert_array_equal(out, np.median([np.roll(ranges, shift) for shift in range(-2, 3)], axis=0))
+    threes = np.median([np.roll(ranges, shift) for shift in range(-1, 2)], axis=0)
+    np.testing.assert_array_equal(out, np.median([np.roll(threes, shift) for shift in range(-2, 3)], axis=0))
+
+
+def test_a_wrong_range_on_a_wall_seen_at_a_slant_opens_no_way_through_it() -> None:
+    ranges, out = seen(CROSSING, 8.0, 1.2, 0.0), np.empty(BEAMS)
+    for beam in range(BEAMS):
+        wrong = ranges.copy()
+        wrong[beam] = REACH
+        despeckle(wrong, out)
+        assert (
+            out <= np.maximum(ranges, np.maximum(np.roll(ranges, 1), np.roll(ranges, -1))) + 1e-9
+        ).sum() >= BEAMS - 1
 
 
 def test_clear_lengths_are_those_of_a_rectangle_pushed_ahead() -> None:

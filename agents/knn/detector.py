@@ -25,10 +25,10 @@ AT_PLACE = 2.5
 """Metres from a place at which the robot is back there: half a metre less than counts."""
 SIGHT_HALF_WIDTH = 0.2
 """Metres off all walls that the line of sight to that place must be, for the track may be off by as much."""
-DRIFT = 0.02
-"""Metres that the track may be off for every metre of way between two places."""
-DRIFT_MIN, DRIFT_MAX = 1.5, 9.5
-"""Metres that it may be off at least and at most."""
+DRIFT_MIN, DRIFT_MAX = 1.5, 25.0
+"""Metres that the track may be off at least and at most; see `Track.drift`."""
+POSITION_DRIFT = 0.02
+"""Metres that dead reckoning alone may be off for every metre driven."""
 SPREAD = np.array([1.0, 1.0, math.radians(10)])
 """Of the robot about a place that the vote has found, metres, metres, radians."""
 AGREES_LESS, ENDS, FIRM = 0.07, 50, 4.0
@@ -86,7 +86,7 @@ class Detector:
         if self.config.detector == "knn":
             found = self._by_looks(places, track, back)
         else:
-            gate = np.clip(DRIFT * lengths[back], DRIFT_MIN, DRIFT_MAX)
+            gate = np.clip(track.drift * lengths[back], DRIFT_MIN, DRIFT_MAX)
             found = self._by_looks(places, track, back[~around & (away[back] < gate)])
             if found is None:
                 return Detection(visited=self._in_sight(places, track.pose, back[around]))
@@ -130,7 +130,7 @@ class Detector:
         direction, group = places.direction[-1], places.group[-1]
         tables = np.flatnonzero((places.direction == direction) & (places.group != group))
         if self.config.detector == "both":
-            gate = np.clip(DRIFT * (places.path[-1] - places.path[tables]), DRIFT_MIN, DRIFT_MAX)
+            gate = np.clip(POSITION_DRIFT * (places.path[-1] - places.path[tables]), DRIFT_MIN, DRIFT_MAX)
             tables = tables[distances(places.pose[tables], places.pose[-1]) < gate]
         rows, similarities = self._vote(places, tables, tables[:0])
         if len(rows) and similarities[0] > self.config.threshold:

@@ -13,6 +13,7 @@ from agents.navigation.scans import (
     DOUBTFUL,
     NEAR_SIGHT,
     UNBOUNDED,
+    UNCONFIRMED,
     inside,
     open_points,
     seen_through,
@@ -28,8 +29,9 @@ open until it has been driven round.
 """
 SIGHT = 14.0
 """Metres between two places whose scans may overlap at points of one of them: a little more than the laser's reach."""
-WITNESSES = 2
-"""Scans as measured that must have seen through to a point of an opening: one alone may have a range that is wrong."""
+WITNESSES, WITNESSES_LEAST = 3, 2
+"""Scans as measured, of five, that see through to a point of an opening if it is one, for ranges may be wrong; with
+fewer it comes last, and below the least it is none."""
 MOST_POINTS = 400
 """Of one scan; more are left out."""
 SAME_AREA = 2.0
@@ -145,7 +147,7 @@ class OpenAreas:
         self._new = int(new.sum())
 
     def verify(self, places: Places, measured: np.ndarray, poses: np.ndarray) -> None:
-        """Drop what the last `update` has opened, unless `WITNESSES` scans see through to it.
+        """Drop what the last `update` has opened, or put it off, unless `WITNESSES` scans see through to it.
 
         Parameters
         ----------
@@ -158,7 +160,8 @@ class OpenAreas:
         new = slice(len(points) - self._new, None)
         seen_through(measured, poses, self.range_max, points[new], witnesses[new])
         self._new = 0
-        self._drop(witnesses < WITNESSES, np.zeros(len(points), np.bool_))
+        self.polar[witnesses < WITNESSES, 2] = UNCONFIRMED
+        self._drop(witnesses < WITNESSES_LEAST, np.zeros(len(points), np.bool_))
 
     def recheck(self, places: Places) -> None:
         """Strike off what places have seen that a closed loop has brought near."""
@@ -204,7 +207,7 @@ class OpenAreas:
     def _list(self, places: Places, pose: np.ndarray) -> None:
         points = self.points(places)
         away = distances(points, pose)
-        for area in set(self.area[self.polar[:, 2] != DOUBTFUL].tolist()) - set(self._numbers):
+        for area in set(self.area[~np.isin(self.polar[:, 2], (DOUBTFUL, UNCONFIRMED))].tolist()) - set(self._numbers):
             mine = np.flatnonzero(self.area == area)
             now = float(away[mine].min())
             least = self._nearest[area] = min(now, self._nearest.get(area, now))

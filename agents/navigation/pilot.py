@@ -10,7 +10,7 @@ from agents.navigation.local_map import LocalMap
 from agents.navigation.open_areas import DETOUR, OpenAreas
 from agents.navigation.places import Places, route
 from agents.navigation.poses import distances, wrap, wrap_all
-from agents.navigation.scans import DOUBTFUL, clear_beam, clear_lengths
+from agents.navigation.scans import clear_beam, clear_lengths
 from cyclic_env.compiled import compiled
 
 HALF_WIDTH = 0.31
@@ -21,8 +21,9 @@ PASSED = 0.6
 """Metres from a point of its way at which the robot makes for the next."""
 TURN_COST = 1.5
 """Metres of way that a radian of turning is worth, so that the robot goes on rather than back."""
-DOUBT_COST = 6.0
-"""Metres that a doubtful opening is put off by: it is mostly a wall, and seen to be one in passing."""
+KIND_COST = np.array([0.0, 6.0, 0.0, 60.0])
+"""Metres that an opening is put off by for its kind: a doubtful one is mostly a wall, and seen to be one in passing; an
+unconfirmed one comes when all else within a loop's length is done."""
 FAR_COST = 3.0
 """Metres that a goal off the local map is put off by."""
 SWITCH_SHARE, SWITCH_GAIN = 0.4, 2.0
@@ -89,7 +90,7 @@ class Pilot:
         local = np.isfinite(costs) & (lengths[areas.place] <= away + DETOUR + MAP_REACH)
         costs = np.where(local, costs, lengths[areas.place] + areas.polar[:, 0] + FAR_COST)
         bearings = np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2]
-        costs += TURN_COST * np.abs(wrap_all(bearings)) + DOUBT_COST * (areas.polar[:, 2] == DOUBTFUL)
+        costs += TURN_COST * np.abs(wrap_all(bearings)) + KIND_COST[areas.polar[:, 2].astype(np.int64)]
         if order is not None:
             costs += np.where(order == order.min(), 0.0, np.inf)
         best = int(np.argmin(costs))

@@ -26,8 +26,9 @@ BESIDE = 1.0
 """Metres from a scan within which all in sight is settled, or a robot at an opening would never be done with it."""
 NEAR_SIGHT = 0.6
 """Metres beyond a scan's end that still count as in sight: to the edge of an opening, or a wall."""
-FIRM, DOUBTFUL, UNBOUNDED = 0, 1, 2
-"""Kinds of open points: at a corner; on a wall seen at a slant, or an opening in it; with no wall within reach."""
+FIRM, DOUBTFUL, UNBOUNDED, UNCONFIRMED = 0, 1, 2, 3
+"""Kinds of open points: at a corner; on a wall seen at a slant, or an opening in it; with no wall within reach; any of
+these that too few scans see through to."""
 CONFIRM = 0.4
 """Metres."""
 OFF_WALL = 0.15
@@ -35,14 +36,31 @@ OFF_WALL = 0.15
 
 
 @compiled
-def despeckle(ranges, out):
-    """Write the median of each beam and its four neighbours into `out` `(beams,)`: two wrong ranges are dropped."""
+def _median_of_three(ranges, k):
     n = ranges.shape[0]
-    for k in range(n):
-        a, b, c, d, e = ranges[k - 2], ranges[k - 1], ranges[k], ranges[(k + 1) % n], ranges[(k + 2) % n]
+    a, b, c = ranges[(k - 1) % n], ranges[k % n], ranges[(k + 1) % n]
+    return max(min(a, b), min(max(a, b), c))
+
+
+@compiled
+def despeckle(ranges, out):
+    """Write into `out` `(beams,)` the median of five beams, of what the median of three has made of the ranges.
+
+    Two wrong ranges are dropped. The median of five alone would, next to a wrong one, take the next beam's for a beam's
+    on a wall seen at a slant, and see through the wall.
+    """
+    a, b, c, d = (
+        _median_of_three(ranges, -2),
+        _median_of_three(ranges, -1),
+        _median_of_three(ranges, 0),
+        _median_of_three(ranges, 1),
+    )
+    for k in range(ranges.shape[0]):
+        e = _median_of_three(ranges, k + 2)
         # The least and the most of the first four can't be the median; it is that of the two left and the fifth.
         low, high = max(min(a, b), min(c, d)), min(max(a, b), max(c, d))
         out[k] = max(min(low, high), min(max(low, high), e))
+        a, b, c, d = b, c, d, e
 
 
 @compiled

@@ -27,6 +27,8 @@ MEMORY = 30
 """Places over which the mean agreement of matches on the way is taken, and the mean error of the compass's turns."""
 LAG = 0.3
 """Share of the compass's error at a place that is taken to last until the next: its field changes slowly."""
+DRIFT = 0.6
+"""Share of the compass's error from place to place, radians, that may be left in the headings of a long way."""
 FIELD_REACH = 100.0
 """By so much less does each reading of the compass tell than its noise says: its field is alike over metres."""
 SCALE_SPREAD, SLIP = 0.03, 0.03
@@ -87,6 +89,11 @@ class Track:
     def heading_information(self) -> float:
         """Inverse variance of the compass's readings at the places, as the graph takes it."""
         return 1 / max(FIELD_REACH * self._wander, TURN_ERROR**2)
+
+    @property
+    def drift(self) -> float:
+        """Metres that the track may be off for every metre of way between two places."""
+        return DRIFT * math.sqrt(self._wander)
 
     def advance(self, distance: float, compass: np.ndarray) -> None:
         """Take a reading of the distance meter and of the compass `(2,)`."""
