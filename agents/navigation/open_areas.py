@@ -29,9 +29,8 @@ open until it has been driven round.
 """
 SIGHT = 14.0
 """Metres between two places whose scans may overlap at points of one of them: a little more than the laser's reach."""
-WITNESSES, WITNESSES_LEAST = 3, 2
-"""Scans as measured, of five, that see through to a point of an opening if it is one, for ranges may be wrong; with
-fewer it comes last, and below the least it is none."""
+WITNESSES = 3
+"""Scans as measured, of five, that see through to a point of an opening; with fewer, it comes last."""
 MOST_POINTS = 400
 """Of one scan; more are left out."""
 SAME_AREA = 2.0
@@ -147,7 +146,7 @@ class OpenAreas:
         self._new = int(new.sum())
 
     def verify(self, places: Places, measured: np.ndarray, poses: np.ndarray) -> None:
-        """Drop what the last `update` has opened, or put it off, unless `WITNESSES` scans see through to it.
+        """Put off what the last `update` has opened, unless `WITNESSES` scans see through to it: ranges may be wrong.
 
         Parameters
         ----------
@@ -161,7 +160,6 @@ class OpenAreas:
         seen_through(measured, poses, self.range_max, points[new], witnesses[new])
         self._new = 0
         self.polar[witnesses < WITNESSES, 2] = UNCONFIRMED
-        self._drop(witnesses < WITNESSES_LEAST, np.zeros(len(points), np.bool_))
 
     def recheck(self, places: Places) -> None:
         """Strike off what places have seen that a closed loop has brought near."""
