@@ -153,12 +153,12 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         Raises
         ------
         ConfigError, FloorPlanError
-            If the seed or the start doesn't fit; the running episode goes on.
+            If the seed or the start doesn't fit, or a plan that is new to the pool; the running episode goes on.
         """
         with self._turn:
             start, seed = start_option(options), checked_seed(seed)
-            if start is not None:
-                self.engine.draw_place(rehearsed(self.np_random, seed), start)  # refuse before anything changes
+            if start is not None or not self.engine.is_prepared:  # refuse before anything changes
+                self.engine.draw_place(rehearsed(self.np_random, seed), start)
             super().reset(seed=seed)
             self.engine.reset_row(0, self.np_random, start)
             self.engine.measure(np.zeros(1, np.int64), [self.np_random])

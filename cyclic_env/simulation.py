@@ -223,7 +223,7 @@ class Simulation:
 
     def __init__(self, robot: RobotConfig, plans: Sequence[FloorPlan], num_robots: int) -> None:
         self.robot = robot
-        self.plans = tuple(plans)
+        self.plans = tuple(plans)  # the engine adds those that come into use
         self.drive = np.zeros(num_robots, DRIVE)
         self.plan_of = np.full(num_robots, -1, np.int64)
         self.worlds: list[World] = []

@@ -104,7 +104,8 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         Raises
         ------
         ConfigError, FloorPlanError
-            If the seeds, the mask or the starts don't fit; the running episodes go on.
+            If the seeds, the mask or the starts don't fit, or a plan that is new to the pool; the running episodes go
+            on.
         """
         with self._turn:
             start = start_option(options, "reset_mask")
@@ -112,10 +113,10 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
             rows = np.flatnonzero(mask)
             starts = self._starts(start)
             seeds = self._row_seeds(seed)
-            if starts is not None:  # refuse before anything changes
+            if starts is not None or not self.engine.is_prepared:  # refuse before anything changes
                 rngs = self.np_random
                 for row in rows.tolist():
-                    self.engine.draw_place(rehearsed(rngs[row], seeds[row]), starts[row])
+                    self.engine.draw_place(rehearsed(rngs[row], seeds[row]), None if starts is None else starts[row])
             self._seed(seeds, mask)
             self._reset_rows(rows, starts)
             return self.engine.observation(), self._infos(mask)

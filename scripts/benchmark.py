@@ -117,7 +117,7 @@ def measure_laser() -> Iterator[Row]:
     """Time one scan of 180 beams on Killian Court, three ways."""
     plan, laser = load_floor_plan("killian_court"), LaserConfig()
     poses = free_poses(plan, 2000)
-    tiles, directions = build_wall_tiles([plan], laser.range_max), beam_directions(laser)
+    tiles, directions = build_wall_tiles(plan, laser.range_max), beam_directions(laser)
     scratch, ranges = np.empty(2 * laser.num_beams), np.empty((len(poses), laser.num_beams))
     compiled_scan = best_time(lambda: scan_all(tiles, poses, directions, laser.range_max, scratch, ranges)) / len(poses)
     twin = best_time(lambda: [scan(plan.walls, pose, laser) for pose in poses[:50]]) / 50
