@@ -26,7 +26,7 @@ from cyclic_env.compiled import call_c, compiled
 from cyclic_env.config import RobotConfig
 from cyclic_env.floor_plans import FloorPlan
 
-WORLD_SIZE_MIN, WORLD_SIZE_MAX = 16, 64
+WORLD_SIZE_MIN, WORLD_SIZE_MAX = 16, 32
 """Robots in one Space, measured: fewer cost calls, more cost pairs while they stand at the same start."""
 
 COLLISION_SLOP = 0.001
