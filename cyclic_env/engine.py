@@ -363,7 +363,8 @@ class Engine:
             )
             cells = build_coverage_grid(plan, self.num_robots, config.coverage)
             episodes = episodes._replace(
-                grid=joined_coverage_grid(episodes.grid, cells), memory=joined_memory(episodes.memory, self._memory(plan))
+                grid=joined_coverage_grid(episodes.grid, cells),
+                memory=joined_memory(episodes.memory, self._memory(plan)),
             )
         plans, numbers = (*self.simulation.plans, plan), {**self._numbers, place: len(self._numbers)}
         # At once, since a Ctrl-C may come between statements, and half of a plan would shift all later ones.

@@ -20,6 +20,8 @@ from cyclic_env.interface import (
     checked_seed,
     observation_space,
     rehearsed,
+    restored,
+    snapshot,
     start_option,
 )
 from cyclic_env.rewards import REWARD_TERMS
@@ -243,4 +245,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     def __getstate__(self) -> dict[str, Any]:
         with self._turn:
-            return {**self.__dict__, "_renderer": None}
+            return snapshot({**self.__dict__, "_renderer": None}, ("engine", "_np_random"))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(restored(state))

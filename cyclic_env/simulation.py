@@ -146,9 +146,7 @@ def read_bodies(calls, counts):
 
 
 @compiled
-def drive_bodies(
-    calls, counts, bodies, forces, rows, drive, commands, substeps, mass, inertia, axle_track, lag, dt
-):
+def drive_bodies(calls, counts, bodies, forces, rows, drive, commands, substeps, mass, inertia, axle_track, lag, dt):
     """Drive the robots of one Space for a control step; for the arguments see `read_bodies` and `command_substep`."""
     for substep in range(substeps):
         command_substep(bodies, forces, rows, drive, commands, substep == 0, mass, inertia, axle_track, lag, dt)
@@ -220,7 +218,12 @@ class World:
             self._arrays[i].arr, self._arrays[i].max = ffi.cast("double *", floats.ctypes.data), len(floats)
             self._batches[i].floatArray, self._batches[i].fields = ffi.addressof(self._arrays, i), fields.value
         self.counts = np.frombuffer(ffi.buffer(self._arrays), np.intc).reshape(2, -1)[:, 0]
-        names = ("cpSpaceStep", "cpSpaceEachBody", "pmSpaceBodyGetIteratorFuncBatched", "pmSpaceBodySetIteratorFuncBatched")
+        names = (
+            "cpSpaceStep",
+            "cpSpaceEachBody",
+            "pmSpaceBodyGetIteratorFuncBatched",
+            "pmSpaceBodySetIteratorFuncBatched",
+        )
         step, each_body, read_body, write_body = (ffi.addressof(lib, name) for name in names)
         reading, writing = (ffi.addressof(self._batches, i) for i in range(2))
         pointers = (self.space._space, step, each_body, read_body, reading, write_body, writing)

@@ -23,6 +23,8 @@ from cyclic_env.interface import (
     checked_seed,
     observation_space,
     rehearsed,
+    restored,
+    snapshot,
     start_option,
 )
 from cyclic_env.rewards import REWARD_TERMS
@@ -265,7 +267,10 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
 
     def __getstate__(self) -> dict[str, Any]:
         with self._turn:
-            return {**self.__dict__, "_renderers": []}
+            return snapshot({**self.__dict__, "_renderers": []}, ("engine", "_rngs", "_seeds", "_ended"))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(restored(state))
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

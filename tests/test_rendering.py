@@ -17,7 +17,7 @@ import shapely
 from cyclic_env.colours import AMBER, RIGHT, WRONG
 from cyclic_env.env import CyclicLoopEnv
 from cyclic_env.errors import ConfigError, UsageError
-from cyclic_env.floor_plans import FloorPlan, PlanPool, load_floor_plan
+from cyclic_env.floor_plans import FloorPlan, PlanPool, load_floor_plan, load_floor_plans
 from cyclic_env.vector_env import CyclicLoopVectorEnv
 
 pygame = pytest.importorskip("pygame")
@@ -368,3 +368,7 @@ def test_scores_of_the_record_are_the_engines(env: CyclicLoopEnv) -> None:
     env.reset()
     assert len(env.engine.claims(0)) == 0
     assert env.engine.outcome[0]["episode_return"] == 0.0
+
+
+def test_pictures_of_a_pool_with_plans_yet_to_be_drawn_are_as_large_as_any() -> None:
+    assert canvas_size(load_floor_plans(["ring", "generated:train"])) == SIZE_MAX
