@@ -47,8 +47,7 @@ def inlined(function: Callable[..., Any]) -> Any:
     return njit(inline="always")(function)
 
 
-@intrinsic
-def call_c(context: Any, address: Any, arguments: Any) -> Any:
+def _call_c(context: Any, address: Any, arguments: Any) -> Any:
     """Call, from a kernel, the C function at an address, with a tuple of int64 (pointers, too) and float64.
 
     It returns nothing. What Python's ways of calling cost is more than many such functions take; none of them may
@@ -62,6 +61,9 @@ def call_c(context: Any, address: Any, arguments: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(address, arguments), generate
+
+
+call_c: Any = intrinsic(_call_c)
 
 
 @cache

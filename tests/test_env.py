@@ -493,7 +493,7 @@ def test_a_plan_that_does_not_suit_is_refused_by_the_reset_that_draws_it(monkeyp
     seed = next(seed for seed in range(5000) if np.random.default_rng(seed).integers(257) == 0)
     for env in (CyclicLoopEnv(["ring", "generated:train"]), CyclicLoopVectorEnv(1, ["ring", "generated:train"])):
         env.reset(seed=seed)
-        actions = np.zeros(env.action_space.shape)
+        actions = np.zeros(env.action_space.shape or ())
         env.step(actions)
         with pytest.raises(cyclic_env.FloorPlanError, match=r"'generated:train,index=\d+': a corridor is too narrow"):
             env.reset(seed=0)

@@ -137,9 +137,9 @@ def test_a_space_that_was_left_serves_as_a_new_one() -> None:
     tracks = []
     for plan in (0, 1, 0):
         used.place(0, plan, plans[plan].start)
+        (world,) = used.worlds
         drives = []
         for _ in range(60):
-            (world,) = used.worlds
             used.drive_world(world, commands)
             drives.append(used.drive.copy())
         tracks.append((world, np.array(drives).tobytes()))
