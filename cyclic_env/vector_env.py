@@ -124,7 +124,16 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
             return self.engine.observation(), self._infos(mask)
 
     def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step every row, and reset those that the autoreset mode says."""
+        """Step every row, and reset those that the autoreset mode says.
+
+        Raises
+        ------
+        ActionError, UsageError
+            If the actions don't fit, or there is no episode to go on with; nothing has changed.
+        FloorPlanError
+            If a row that is reset draws a plan that does not suit the robot. The step has been taken, and the rows that
+            were to be reset are so in the next one, and draw anew.
+        """
         with self._turn:
             ended = self._ended.copy()
             if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():

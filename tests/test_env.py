@@ -459,22 +459,23 @@ def test_a_pool_prepares_a_plan_when_a_row_first_draws_it(monkeypatch: pytest.Mo
 
 
 def test_plans_that_join_a_pool_late_change_no_bit_of_what_is_going_on() -> None:
-    # The plans grow, so that all arrays do while row 0 goes on in the first.
-    pool = ["ring", "figure_eight", "office", "killian_court"]
-    actions = bumping_actions(40, 2)
+    # They grow, so that all arrays do, while row 0 goes on in the first.
+    pool = ["ring", "dead_ends", "grid", "killian_court"]
+    seed_of = [next(seed for seed in range(99) if np.random.default_rng(seed).integers(4) == plan) for plan in range(4)]
     late, early = CyclicLoopVectorEnv(2, pool, noise="typical"), CyclicLoopVectorEnv(2, pool, noise="typical")
-    for seed in range(40):  # all of them are in use
+    for seed in seed_of:
         early.reset(seed=seed)
-    seeds = [next(seed for seed in range(40) if CyclicLoopEnv(pool).reset(seed=seed)[1]["cycles_total"] == 1), 0]
-    mask = np.array([False, True])
-    for step, action in enumerate(actions):
-        if step % 8 == 0:
-            seeds = [seeds[0], step]
-            options = {"reset_mask": mask} if step else None
-            assert_same(late.reset(seed=seeds, options=options), early.reset(seed=seeds, options=options))
-        assert_same(late.step(action), early.step(action))
+    assert (early.engine.is_prepared, late.engine.is_prepared) == (True, False)
+    for plan, seed in enumerate(seed_of):
+        options = {"reset_mask": np.array([plan == 0, True])}
+        seeds = [seed_of[0], seed]
+        assert_same(late.reset(seed=seeds, options=options), early.reset(seed=seeds, options=options))
+        assert late.floor_plan(1).name == pool[plan]
+        for action in bumping_actions(60, 2):
+            assert_same(late.step(action), early.step(action))
     assert late.engine.is_prepared
     assert_array_equal(late.trajectory(0), early.trajectory(0))
+    assert_array_equal(late.seen_cells(0), early.seen_cells(0))
     assert_same(pickle.loads(pickle.dumps(late)).reset(seed=3), early.reset(seed=3))
 
 
