@@ -33,7 +33,7 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 import cyclic_env
 from agents.sb3 import CyclicLoopVecEnv, ScanFeatures
 from cyclic_env.config import ACTION_TYPES, ActionType, checked_name, noise_from_name
-from cyclic_env.errors import ConfigError
+from cyclic_env.errors import ConfigError, CyclicLoopError
 from cyclic_env.evaluation import ProgressLine
 from cyclic_env.floor_plans import load_floor_plans, separate_names
 
@@ -100,6 +100,10 @@ class TrainedModel:
     settings: TrainingSettings | None
 
 
+class TrainingError(CyclicLoopError, RuntimeError):
+    """The training of a model failed."""
+
+
 def train(
     settings: TrainingSettings,
     *,
@@ -110,7 +114,7 @@ def train(
     progress: bool = True,
     save_every: int = SAVE_EVERY,
 ) -> tuple[BaseAlgorithm, bool]:
-    """Train a model, and save it now and then, at the end, and on Ctrl-C.
+    """Train a model, and save it now and then, at the end, on Ctrl-C, and when the training fails.
 
     Parameters
     ----------
@@ -139,6 +143,8 @@ def train(
     ------
     ConfigError
         If the folder can't be written, holds a model already, or holds none to resume from; or steps aren't positive.
+    TrainingError
+        If the training failed; it says what has been saved.
     """
     if steps < 1:
         raise ConfigError(f"steps is {steps}; expected at least 1.")
@@ -179,11 +185,29 @@ def train(
             complete = True
         except KeyboardInterrupt:
             complete = False
+        except Exception as error:  # whatever goes wrong within SB3 and torch
+            callback.close()
+            kept = _saved_if_sound(model, settings, out)
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise TrainingError(
+                f"the training failed after {model.num_timesteps:,} steps ({reason}); {kept}"
+            ) from error
         callback.close()
         save(model, settings, out)
     finally:
         venv.close()
     return model, complete
+
+
+def _saved_if_sound(model: BaseAlgorithm, settings: TrainingSettings, out: Path) -> str:
+    """Save a model whose training failed, unless its weights are spoilt, and say what there is."""
+    if not all(torch.isfinite(weights).all() for weights in model.policy.parameters()):
+        return f"its weights are not finite, so {out / MODEL} is left as the last checkpoint has it."
+    try:
+        save(model, settings, out)
+    except Exception as error:
+        return f"it can't be saved ({error}), so {out / MODEL} is left as the last checkpoint has it."
+    return f"{out / MODEL} has what was learnt until then; go on with --resume."
 
 
 def _end_of_training(model: BaseAlgorithm, steps: int) -> int:

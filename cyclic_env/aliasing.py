@@ -77,7 +77,7 @@ def look_alikes(plan: FloorPlan, radius: float = RobotConfig().radius) -> PlaceL
         If the robot can't drive the plan.
     """
     points, rows = _lattice(plan.reachable(radius))
-    tiles, directions = build_wall_tiles([plan], LASER.range_max), beam_directions(LASER)
+    tiles, directions = build_wall_tiles(plan, LASER.range_max), beam_directions(LASER)
     beams = np.arange(LASER.num_beams)
     scratch = np.empty(2 * len(beams)), np.empty(len(beams))
     scans = np.empty((len(points), len(beams)), np.float32)

@@ -11,7 +11,10 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
 NOTICE_DELAY = 2.0
 """Seconds; loading compiled code from the cache takes less, compiling takes more."""
@@ -42,6 +45,25 @@ def _sources_digest(folder: Path) -> str:
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile `function` into its callers, since numba can't return a tuple that holds a record."""
     return njit(inline="always")(function)
+
+
+def _call_c(context: Any, address: Any, arguments: Any) -> Any:
+    """Call, from a kernel, the C function at an address, with a tuple of int64 (pointers, too) and float64.
+
+    It returns nothing. What Python's ways of calling cost is more than many such functions take; none of them may
+    need the GIL.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        kinds = [context.get_value_type(kind) for kind in arguments]
+        pointer = builder.inttoptr(values[0], ir.FunctionType(ir.VoidType(), kinds).as_pointer())
+        builder.call(pointer, cgutils.unpack_tuple(builder, values[1]))
+        return context.get_dummy_value()
+
+    return types.void(address, arguments), generate
+
+
+call_c: Any = intrinsic(_call_c)
 
 
 @cache

@@ -8,7 +8,6 @@ further `scan_spacing` of path.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from cyclic_env.compiled import compiled
 from cyclic_env.config import CoverageConfig
 from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.floor_plans.wall_tiles import GRID
+from cyclic_env.floor_plans.wall_tiles import GRID, joined_grids
 
 CELLS_MAX = 20_000_000
 """Most cells of a plan: a gigabyte while they are built."""
@@ -49,42 +48,52 @@ class CoverageGrid(NamedTuple):
     seen: np.ndarray
 
 
-def build_coverage_grid(plans: Sequence[FloorPlan], num_robots: int, config: CoverageConfig) -> CoverageGrid:
-    """Divide the plans into cells, none of them seen yet.
+def build_coverage_grid(plan: FloorPlan, num_robots: int, config: CoverageConfig) -> CoverageGrid:
+    """Divide a plan into cells, none of them seen yet.
 
     Raises
     ------
     FloorPlanError
-        If a plan has too many cells, or is so small that no cell's centre is free.
+        If it has too many cells, or is so small that no cell's centre is free.
     """
     size = float(config.cell_size)
-    grids, numbers, first = [], [], 0
-    for plan in plans:
-        west, south, east, north = plan.bounds
-        # With a ring of spare cells, so that no beam's way needs watching for the grid's end.
-        west, south = west - size, south - size
-        columns, rows = math.ceil((east - west) / size) + 1, math.ceil((north - south) / size) + 1
-        if columns * rows > CELLS_MAX:
-            raise FloorPlanError(
-                f"floor plan {plan.name!r} has {columns} x {rows} cells of {size:g} m; make cell_size larger, "
-                f"for at most {CELLS_MAX}."
-            )
-        x, y = np.meshgrid(west + size * (np.arange(columns) + 0.5), south + size * (np.arange(rows) + 0.5))
-        free = shapely.contains_xy(plan.prepared_space(), x.ravel(), y.ravel())
-        if not free.any():
-            raise FloorPlanError(
-                f"floor plan {plan.name!r} has no free cell of {size:g} m; make it larger or cell_size smaller."
-            )
-        grids.append((west, south, columns, rows, first))
-        numbers.append(np.where(free, np.cumsum(free) - 1, -1).astype(np.int32))
-        first += columns * rows
-    cells_total = np.array([number.max() + 1 for number in numbers], np.int64)
+    west, south, east, north = plan.bounds
+    # With a ring of spare cells, so that no beam's way needs watching for the grid's end.
+    west, south = west - size, south - size
+    columns, rows = math.ceil((east - west) / size) + 1, math.ceil((north - south) / size) + 1
+    if columns * rows > CELLS_MAX:
+        raise FloorPlanError(
+            f"floor plan {plan.name!r} has {columns} x {rows} cells of {size:g} m; make cell_size larger, "
+            f"for at most {CELLS_MAX}."
+        )
+    x, y = np.meshgrid(west + size * (np.arange(columns) + 0.5), south + size * (np.arange(rows) + 0.5))
+    free = shapely.contains_xy(plan.prepared_space(), x.ravel(), y.ravel())
+    if not free.any():
+        raise FloorPlanError(
+            f"floor plan {plan.name!r} has no free cell of {size:g} m; make it larger or cell_size smaller."
+        )
+    total = int(free.sum())
     return CoverageGrid(
         cell_size=size,
-        grids=np.array(grids, GRID),
-        number=np.concatenate(numbers),
-        cells_total=cells_total,
-        seen=np.zeros((num_robots, int(cells_total.max())), np.bool_),
+        grids=np.array([(west, south, columns, rows, 0)], GRID),
+        number=np.where(free, np.cumsum(free) - 1, -1).astype(np.int32),
+        cells_total=np.array([total], np.int64),
+        seen=np.zeros((num_robots, total), np.bool_),
+    )
+
+
+def joined_coverage_grid(grid: CoverageGrid, others: CoverageGrid) -> CoverageGrid:
+    """Return the cells of both pools of plans, those of `others` last, and what the robots have seen in the first."""
+    seen = grid.seen
+    if seen.shape[1] < others.seen.shape[1]:
+        seen = np.zeros_like(others.seen)
+        seen[:, : grid.seen.shape[1]] = grid.seen
+    return CoverageGrid(
+        cell_size=grid.cell_size,
+        grids=joined_grids(grid.grids, others.grids, len(grid.number)),
+        number=np.concatenate([grid.number, others.number]),
+        cells_total=np.concatenate([grid.cells_total, others.cells_total]),
+        seen=seen,
     )
 
 

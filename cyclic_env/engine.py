@@ -10,9 +10,9 @@ from __future__ import annotations
 import inspect
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple, TypedDict
 
@@ -35,11 +35,11 @@ from cyclic_env.config import (
     noise_from_name,
     real_array,
 )
-from cyclic_env.coverage import CoverageGrid, build_coverage_grid, mark_scan, seen_cells
+from cyclic_env.coverage import CoverageGrid, build_coverage_grid, joined_coverage_grid, mark_scan, seen_cells
 from cyclic_env.errors import ActionError, ConfigError, FloorPlanError, UsageError, shown, unknown_name
-from cyclic_env.floor_plans import FloorPlan, MapName, load_floor_plans
+from cyclic_env.floor_plans import FloorPlan, MapName, PlanPool, load_floor_plans
 from cyclic_env.floor_plans.floor_plan import Pose
-from cyclic_env.floor_plans.wall_tiles import WallTiles, build_wall_tiles
+from cyclic_env.floor_plans.wall_tiles import WallTiles, build_wall_tiles, joined_wall_tiles
 from cyclic_env.laser import beam_directions, scan_row
 from cyclic_env.loop_closure import (
     NEAREST,
@@ -51,6 +51,7 @@ from cyclic_env.loop_closure import (
     begin,
     closure_rules,
     ground_of,
+    joined_memory,
     judge_claim,
     path_of,
     settle_event,
@@ -119,7 +120,7 @@ OUTCOME = np.dtype(
 class EngineConfig:
     """All settings of an environment, checked; made by `engine_config` from an environment's arguments."""
 
-    plans: tuple[FloorPlan, ...]
+    plans: PlanPool
     action_type: ActionType
     random_start: bool
     terminate_on_collision: bool
@@ -132,10 +133,21 @@ class EngineConfig:
     reward: RewardConfig
 
     def step_budget_of(self, plan: FloorPlan) -> int:
-        """Return after how many steps an episode in `plan` is truncated."""
+        """Return after how many steps an episode in `plan` is truncated.
+
+        Raises
+        ------
+        ConfigError
+            If there would be too many.
+        """
         if self.step_budget is not None:
             return self.step_budget
-        return math.ceil(BUDGET_LAPS * plan.free_area / CORRIDOR_WIDTH / self.robot.advance_max)
+        steps = BUDGET_LAPS * plan.free_area / CORRIDOR_WIDTH / self.robot.advance_max
+        if steps > STEP_BUDGET_MAX:
+            raise ConfigError(
+                f"floor plan {plan.name!r} is so large that its step budget exceeds {STEP_BUDGET_MAX}; give one."
+            )
+        return math.ceil(steps)
 
 
 class Settings(TypedDict, total=False):
@@ -168,7 +180,7 @@ def engine_config(
     reward: RewardConfig | Mapping[str, Any] | None = None,
     **unknown: Any,
 ) -> EngineConfig:
-    """Check the arguments that both environments take, and load their floor plans.
+    """Check the arguments that both environments take, and load their floor plans, but those of splits.
 
     Raises
     ------
@@ -198,16 +210,13 @@ def engine_config(
         coverage=from_mapping(CoverageConfig, coverage),
         reward=from_mapping(RewardConfig, reward),
     )
-    for plan in config.plans:
-        if config.step_budget_of(plan) > STEP_BUDGET_MAX:
-            raise ConfigError(
-                f"floor plan {plan.name!r} is so large that its step budget exceeds {STEP_BUDGET_MAX}; give one."
-            )
+    for plan in config.plans.loaded.values():
+        config.step_budget_of(plan)
     return config
 
 
 class Buildings(NamedTuple):
-    """What all robots share, as the compiled code takes it."""
+    """What all robots share, as the compiled code takes it: of P plans in use."""
 
     tiles: WallTiles
     directions: np.ndarray
@@ -237,6 +246,9 @@ class Episodes(NamedTuple):
 class Engine:
     """N robots in the buildings of a pool, stepped together.
 
+    A plan is made ready for use when the first robot draws it, and the pool's first one at once. Plans in use have
+    numbers of their own, in the order in which they were drawn.
+
     Parameters
     ----------
     config : EngineConfig
@@ -247,7 +259,8 @@ class Engine:
     ConfigError
         If there is not enough memory for so many robots and steps.
     FloorPlanError
-        If a plan does not suit the robot or the cells.
+        If a plan does not suit the robot, or the pool's first one the cells. Those that are yet to be drawn, and the
+        cells of the others, are checked by the reset that draws them.
 
     Attributes
     ----------
@@ -263,24 +276,25 @@ class Engine:
     def __init__(self, config: EngineConfig, num_robots: int) -> None:
         self.config = config
         self.num_robots = num_robots
-        self._reachable = [plan.reachable(config.robot.radius) for plan in config.plans]
-        for area in self._reachable:
-            shapely.prepare(area)
-        step_budget = np.array([config.step_budget_of(plan) for plan in config.plans], np.int64)
-        cycles_total = np.array([plan.cycles_total for plan in config.plans], np.int64)
+        self._reachable: dict[int, shapely.Polygon] = {}  # by the place of the plan in the pool
+        for place in config.plans.loaded:
+            self._reach(place)
+        first = config.plans[0]
+        self._reach(0)
+        self._numbers = {0: 0}  # of the plans in use, by their places in the pool
         self.buildings = Buildings(
-            tiles=build_wall_tiles(config.plans, config.laser.range_max),
+            tiles=build_wall_tiles(first, config.laser.range_max),
             directions=beam_directions(config.laser),
             range_max=float(config.laser.range_max),
             scan_spacing=float(config.coverage.scan_spacing),
             coverage_complete=float(config.coverage.complete),
             rules=closure_rules(config.closure),
-            weights=reward_weights(config.reward, cycles_total, step_budget),
-            step_budget=step_budget,
+            weights=self._weights(first),
+            step_budget=np.array([config.step_budget_of(first)], np.int64),
             terminate_on_collision=config.terminate_on_collision,
         )
-        try:
-            self.simulation = Simulation(config.robot, config.plans, num_robots)
+        with self._enough_memory(first):
+            self.simulation = Simulation(config.robot, (first,), num_robots)
             self.sensors = Sensors(config.noise, config.laser, num_robots)
             self.info = np.zeros(num_robots, INFO)
             self.terms = np.zeros((num_robots, len(REWARD_TERMS)))
@@ -290,23 +304,72 @@ class Engine:
                 drive=self.simulation.drive,
                 true_ranges=self.sensors.true_ranges,
                 scratch=np.empty((num_robots, 2 * config.laser.num_beams)),
-                grid=build_coverage_grid(config.plans, num_robots, config.coverage),
-                memory=allocate_memory(config.plans, num_robots, int(step_budget.max()), config.closure),
+                grid=build_coverage_grid(first, num_robots, config.coverage),
+                memory=self._memory(first),
                 info=self.info,
                 terms=self.terms,
                 outcome=self.outcome,
             )
             self._commands = np.zeros((num_robots, 2))
             self._claimed = np.full(num_robots, NO_CLAIM, np.int64)
-        except (MemoryError, OSError) as error:
-            raise ConfigError(
-                f"there is not enough memory for num_envs {num_robots} and paths of {step_budget.max()} steps; "
-                "lower num_envs or step_budget."
-            ) from error
         self._shares: list[tuple[list[World], np.ndarray]] = []
         self._threads: ThreadPoolExecutor | None = None
         self._threads_of = 0
         self._ready = bytearray(num_robots)  # 0 before a robot's first reset, and after an interrupted step or reset
+
+    def _reach(self, place: int) -> shapely.Polygon:
+        """Return where the robot can get to in the plan at that place in the pool; the plan is checked for it."""
+        if place not in self._reachable:
+            area = self.config.plans[place].reachable(self.config.robot.radius)
+            shapely.prepare(area)
+            self._reachable[place] = area
+        return self._reachable[place]
+
+    def _weights(self, plan: FloorPlan) -> np.ndarray:
+        return reward_weights(
+            self.config.reward, np.array([plan.cycles_total]), np.array([self.config.step_budget_of(plan)])
+        )
+
+    def _memory(self, plan: FloorPlan) -> ClosureMemory:
+        return allocate_memory(plan, self.num_robots, self.config.step_budget_of(plan), self.config.closure)
+
+    @contextmanager
+    def _enough_memory(self, plan: FloorPlan) -> Iterator[None]:
+        try:
+            yield
+        except (MemoryError, OSError) as error:
+            raise ConfigError(
+                f"there is not enough memory for num_envs {self.num_robots} and paths of "
+                f"{self.config.step_budget_of(plan)} steps; lower num_envs or step_budget."
+            ) from error
+
+    @property
+    def is_prepared(self) -> bool:
+        """Whether all plans of the pool are ready, so that a reset can't come upon one that does not suit."""
+        return len(self._numbers) == len(self.config.plans)
+
+    def _prepare(self, place: int) -> int:
+        """Return the number of the plan at that place in the pool; make it ready for use first, if it is new."""
+        if place in self._numbers:
+            return self._numbers[place]
+        config, plan = self.config, self.config.plans[place]
+        self._reach(place)
+        buildings, episodes = self.buildings, self.episodes
+        with self._enough_memory(plan):
+            buildings = buildings._replace(
+                tiles=joined_wall_tiles(buildings.tiles, build_wall_tiles(plan, config.laser.range_max)),
+                weights=np.concatenate([buildings.weights, self._weights(plan)]),
+                step_budget=np.append(buildings.step_budget, config.step_budget_of(plan)),
+            )
+            cells = build_coverage_grid(plan, self.num_robots, config.coverage)
+            episodes = episodes._replace(
+                grid=joined_coverage_grid(episodes.grid, cells),
+                memory=joined_memory(episodes.memory, self._memory(plan)),
+            )
+        plans, numbers = (*self.simulation.plans, plan), {**self._numbers, place: len(self._numbers)}
+        # At once, since a Ctrl-C may come between statements, and half of a plan would shift all later ones.
+        self.buildings, self.episodes, self.simulation.plans, self._numbers = buildings, episodes, plans, numbers
+        return numbers[place]
 
     def reset_row(self, row: int, rng: np.random.Generator, start: Any = None) -> None:
         """Begin an episode of one robot; draws from `rng` the plan, the start, and the sensors' errors.
@@ -321,7 +384,7 @@ class Engine:
         Raises
         ------
         FloorPlanError
-            If the robot can't stand at `start`.
+            If the robot can't stand at `start`, or the plan does not suit it; its episode goes on.
         """
         plan, (x, y, heading) = self.draw_place(rng, start)
         self._ready[row] = False
@@ -333,15 +396,16 @@ class Engine:
         self._ready[row] = True
 
     def draw_place(self, rng: np.random.Generator, start: Any) -> tuple[int, Pose]:
-        """Return the plan and the pose with which an episode begins; for the arguments and errors see `reset_row`."""
+        """Return a plan's number and the pose with which an episode begins there, as `reset_row` does; see there."""
         plans = self.config.plans
-        plan = int(rng.integers(len(plans))) if len(plans) > 1 else 0
+        place = int(rng.integers(len(plans))) if len(plans) > 1 else 0
+        plan = self._prepare(place)
         if start is not None:
-            x, y, heading = self._checked_start(plan, start)
+            x, y, heading = self._checked_start(place, start)
         elif self.config.random_start:
-            x, y, heading = self._random_start(plan, rng)
+            x, y, heading = self._random_start(place, rng)
         else:
-            x, y, heading = plans[plan].start
+            x, y, heading = plans[place].start
         return plan, (x, y, wrap_angle(math.remainder(heading, 2 * math.pi)))  # exact for the largest headings, too
 
     def measure(self, rows: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
@@ -433,26 +497,27 @@ class Engine:
         if bad >= 0:
             raise ActionError(f"the action of robot {bad} is {array[bad].tolist()}; expected {expected}.")
 
-    def _checked_start(self, plan: int, start: Any) -> Pose:
-        """Return a start at which the robot can stand in the plan of that number."""
+    def _checked_start(self, place: int, start: Any) -> Pose:
+        """Return a start at which the robot can stand in the plan at that place in the pool."""
         expected = "(x, y, heading) in metres and radians, all finite"
         pose = real_array(start, "start", expected, FloorPlanError).astype(np.float64)
         if pose.shape != (3,) or not np.isfinite(pose).all():
             raise FloorPlanError(f"start is {shown(start)}; expected {expected}.")
         x, y, heading = pose.tolist()
-        if not shapely.intersects_xy(self._reachable[plan], x, y):
-            self.config.plans[plan].reachable(self.config.robot.radius, (x, y))  # raises, with the reason
+        if not shapely.intersects_xy(self._reachable[place], x, y):
+            self.config.plans[place].reachable(self.config.robot.radius, (x, y))  # raises, with the reason
         return x, y, heading
 
-    def _random_start(self, plan: int, rng: np.random.Generator) -> Pose:
-        west, south, east, north = self._reachable[plan].bounds
+    def _random_start(self, place: int, rng: np.random.Generator) -> Pose:
+        area = self._reachable[place]
+        west, south, east, north = area.bounds
         for _ in range(10_000):
             points = rng.uniform((west, south), (east, north), (64, 2))
-            inside = np.flatnonzero(shapely.contains_xy(self._reachable[plan], points[:, 0], points[:, 1]))
+            inside = np.flatnonzero(shapely.contains_xy(area, points[:, 0], points[:, 1]))
             if len(inside):
                 x, y = points[inside[0]]
                 return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
-        raise FloorPlanError(f"floor plan {self.config.plans[plan].name!r}: found no random start; give one.")
+        raise FloorPlanError(f"floor plan {self.config.plans[place].name!r}: found no random start; give one.")
 
     def observation(self) -> dict[str, np.ndarray]:
         """Return the last readings, new float32 arrays: laser `(N, num_beams)`, distance `(N, 1)`, compass `(N, 2)`."""
@@ -504,7 +569,7 @@ class Engine:
         if len(self.config.plans) == 1:
             return self.config.plans[0]
         self.check_placed(row)
-        return self.config.plans[self.simulation.plan_of[row]]
+        return self.simulation.plans[self.simulation.plan_of[row]]
 
     def close(self) -> None:
         """End the threads."""

@@ -20,6 +20,8 @@ from cyclic_env.interface import (
     checked_seed,
     observation_space,
     rehearsed,
+    restored,
+    snapshot,
     start_option,
 )
 from cyclic_env.rewards import REWARD_TERMS
@@ -153,12 +155,12 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         Raises
         ------
         ConfigError, FloorPlanError
-            If the seed or the start doesn't fit; the running episode goes on.
+            If the seed or the start doesn't fit, or a plan that is new to the pool; the running episode goes on.
         """
         with self._turn:
             start, seed = start_option(options), checked_seed(seed)
-            if start is not None:
-                self.engine.draw_place(rehearsed(self.np_random, seed), start)  # refuse before anything changes
+            if start is not None or not self.engine.is_prepared:  # refuse before anything changes
+                self.engine.draw_place(rehearsed(self.np_random, seed), start)
             super().reset(seed=seed)
             self.engine.reset_row(0, self.np_random, start)
             self.engine.measure(np.zeros(1, np.int64), [self.np_random])
@@ -243,4 +245,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     def __getstate__(self) -> dict[str, Any]:
         with self._turn:
-            return {**self.__dict__, "_renderer": None}
+            return snapshot({**self.__dict__, "_renderer": None}, ("engine", "_np_random"))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(restored(state))

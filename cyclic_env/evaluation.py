@@ -343,7 +343,7 @@ def evaluate(
         **settings,
     )
     config = env.engine.config
-    map_label = pool_label(config.plans)
+    map_label = pool_label(config.plans.names)
     line = ProgressLine() if progress else None
 
     def show(done: int, steps: int) -> None:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import copy
+import pickle
 import threading
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -83,6 +84,20 @@ def start_option(options: dict[str, Any] | None, *known: str) -> Any:
 def rehearsed(rng: np.random.Generator, seed: int | None) -> np.random.Generator:
     """Return a generator that draws what `rng` will draw once it is seeded, if there is a seed."""
     return copy.deepcopy(rng) if seed is None else seeding.np_random(seed)[0]
+
+
+def snapshot(state: dict[str, Any], changing: Sequence[str]) -> dict[str, Any]:
+    """Return the state of an environment for a pickle, its `changing` parts as they are now, in bytes.
+
+    What a pickle is given it looks into only afterwards, when another thread may have taken a step.
+    """
+    parts = {name: state[name] for name in changing if name in state}
+    return {**{name: value for name, value in state.items() if name not in parts}, "snapshot": pickle.dumps(parts)}
+
+
+def restored(state: dict[str, Any]) -> dict[str, Any]:
+    """Return the state of which `snapshot` has made this."""
+    return {name: value for name, value in state.items() if name != "snapshot"} | pickle.loads(state["snapshot"])
 
 
 class Turn:

@@ -24,7 +24,6 @@ from __future__ import annotations
 
 import math
 import mmap
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -32,7 +31,14 @@ import numpy as np
 from cyclic_env.compiled import compiled, inlined
 from cyclic_env.config import ClosureConfig
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.floor_plans.wall_tiles import GRID, TILE_SIZE, WallTiles, build_wall_tiles, square_at
+from cyclic_env.floor_plans.wall_tiles import (
+    GRID,
+    TILE_SIZE,
+    WallTiles,
+    build_wall_tiles,
+    joined_wall_tiles,
+    square_at,
+)
 
 VISIT_STEPS = 64
 PRIME = 2147483647
@@ -119,19 +125,27 @@ class ClosureMemory(NamedTuple):
     cycles_total: np.ndarray
     sight: WallTiles
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def begun(self) -> ClosureMemory:
+        """Return the part of it that the paths have come to."""
         steps, visits, claims = (int(self.status[name].max()) for name in ("steps", "visits", "claims"))
         used = {"track": steps + 1, "visits": visits, "marks": steps // VISIT_STEPS + 2, "claims": claims}
-        begun = self._replace(**{name: getattr(self, name)[:, :count] for name, count in used.items()})
-        return _with_room, (tuple(begun), {name: getattr(self, name).shape for name in used})
+        return self._replace(**{name: getattr(self, name)[:, :count] for name, count in used.items()})
+
+    def shapes(self) -> dict[str, tuple[int, ...]]:
+        """Return the shapes of the arrays that are larger for larger plans and longer episodes."""
+        return {name: getattr(self, name).shape for name in ("track", "visits", "cells", "marks", "basis", "claims")}
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return _with_room, (tuple(self.begun()), self.shapes())
 
 
 def _with_room(begun: tuple[Any, ...], shapes: dict[str, tuple[int, ...]]) -> ClosureMemory:
-    """Return the memory of paths that have begun, with room again for the steps to come."""
+    """Return the memory of paths that have begun, in arrays of these shapes."""
     memory = ClosureMemory(*begun)
     room = {name: _lazy_array(shape, getattr(memory, name).dtype) for name, shape in shapes.items()}
     for name, array in room.items():
-        array[:, : getattr(memory, name).shape[1]] = getattr(memory, name)
+        part = getattr(memory, name)
+        array[tuple(slice(size) for size in part.shape)] = part
     return memory._replace(**room)
 
 
@@ -173,37 +187,44 @@ def closure_rules(config: ClosureConfig) -> ClosureRules:
     return ClosureRules(*(float(getattr(config, name)) for name in ClosureRules._fields))
 
 
-def allocate_memory(
-    plans: Sequence[FloorPlan], num_robots: int, max_steps: int, config: ClosureConfig
-) -> ClosureMemory:
-    """Make room for the paths of `num_robots` robots of at most `max_steps` steps.
+def allocate_memory(plan: FloorPlan, num_robots: int, max_steps: int, config: ClosureConfig) -> ClosureMemory:
+    """Make room for the paths of `num_robots` robots of at most `max_steps` steps in a plan.
 
     Room for long episodes costs nothing in short ones: see `_lazy_array`.
     """
     size = float(config.return_radius)
-    grids = np.zeros(len(plans), GRID)
-    for grid, plan in zip(grids, plans, strict=True):
-        west, south, east, north = plan.bounds
-        grid["west"], grid["south"] = west, south
-        grid["columns"], grid["rows"] = int((east - west) / size) + 1, int((north - south) / size) + 1
-    cycles_total = np.array([plan.cycles_total for plan in plans], np.int64)
-    most = int(cycles_total.max())
-    anchors = np.full((len(plans), most, 2), np.nan)
-    for plan, anchor in zip(plans, anchors, strict=True):
-        anchor[: plan.cycles_total] = plan.cycle_anchors
+    west, south, east, north = plan.bounds
+    columns, rows = int((east - west) / size) + 1, int((north - south) / size) + 1
+    cycles = plan.cycles_total
     return ClosureMemory(
         status=np.zeros(num_robots, STATUS),
         track=_lazy_array((num_robots, max_steps + 1, 3), np.dtype(np.float64)),
         visits=_lazy_array((num_robots, max_steps + 1), VISIT),
-        cells=np.empty((num_robots, int((grids["columns"] * grids["rows"]).max()), 2), np.int32),
-        marks=_lazy_array((num_robots, max_steps // VISIT_STEPS + 2, most), np.dtype(np.int64)),
-        basis=np.empty((num_robots, most, most), np.int64),
+        cells=np.empty((num_robots, columns * rows, 2), np.int32),
+        marks=_lazy_array((num_robots, max_steps // VISIT_STEPS + 2, cycles), np.dtype(np.int64)),
+        basis=np.empty((num_robots, cycles, cycles), np.int64),
         claims=_lazy_array((num_robots, max_steps), CLAIM),
-        grids=grids,
+        grids=np.array([(west, south, columns, rows, 0)], GRID),
         cell_size=size,
+        anchors=plan.cycle_anchors[None].copy(),
+        cycles_total=np.array([cycles], np.int64),
+        sight=build_wall_tiles(plan, config.return_radius),
+    )
+
+
+def joined_memory(memory: ClosureMemory, others: ClosureMemory) -> ClosureMemory:
+    """Return the paths of the first, with room for those in both pools of plans, the plans of `others` last."""
+    most = max(memory.anchors.shape[1], others.anchors.shape[1])
+    anchors = np.full((len(memory.anchors) + len(others.anchors), most, 2), np.nan)
+    anchors[: len(memory.anchors), : memory.anchors.shape[1]] = memory.anchors
+    anchors[len(memory.anchors) :, : others.anchors.shape[1]] = others.anchors
+    shapes = {name: tuple(map(max, shape, others.shapes()[name])) for name, shape in memory.shapes().items()}
+    roomy = memory if shapes == memory.shapes() else _with_room(memory.begun(), shapes)
+    return roomy._replace(
+        grids=np.concatenate([memory.grids, others.grids]),
         anchors=anchors,
-        cycles_total=cycles_total,
-        sight=build_wall_tiles(plans, config.return_radius),
+        cycles_total=np.concatenate([memory.cycles_total, others.cycles_total]),
+        sight=joined_wall_tiles(memory.sight, others.sight),
     )
 
 

@@ -267,7 +267,7 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
         distance, compass = np.concatenate(distance), np.stack(compass)
         claims = self._core.claims()
         return Recording(
-            plans=config.plans,
+            plans=tuple(config.plans),
             shipped=self._shipped,
             settings={name: getattr(config, name) for name in SETTINGS}
             | {name: asdict(getattr(config, name)) for name in SETTING_GROUPS},

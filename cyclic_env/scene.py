@@ -30,7 +30,7 @@ from cyclic_env.drawing import (
     words,
     write,
 )
-from cyclic_env.floor_plans import FloorPlan
+from cyclic_env.floor_plans import FloorPlan, PlanPool
 
 SIZE_MAX = (1200, 900)
 """Largest picture, pixels."""
@@ -81,8 +81,13 @@ class Scene:
 
 
 @lru_cache(maxsize=64)
-def canvas_size(plans: tuple[FloorPlan, ...]) -> tuple[int, int]:
-    """Return the width and height, both even, of a picture that suits all plans of a pool."""
+def canvas_size(plans: PlanPool) -> tuple[int, int]:
+    """Return the width and height, both even, of a picture that suits all plans of a pool.
+
+    That is the largest where there are plans yet to be drawn.
+    """
+    if len(plans.loaded) < len(plans):
+        return SIZE_MAX
     room = pygame.Rect(MARGIN, HEADER + MARGIN, SIZE_MAX[0] - 2 * MARGIN, SIZE_MAX[1] - HEADER - FOOTER - 2 * MARGIN)
     rights, bottoms = [WIDTH_MIN - MARGIN], [0]
     for plan in plans:

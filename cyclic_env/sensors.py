@@ -6,13 +6,14 @@ same numbers at every step whatever it does, so that its stream depends on nothi
 
 from __future__ import annotations
 
+import ctypes
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from cyclic_env.compiled import compiled
+from cyclic_env.compiled import call_c, compiled
 from cyclic_env.config import LaserConfig, NoiseConfig
 
 DISTANCE_MAX = 1e5
@@ -20,6 +21,29 @@ DISTANCE_MAX = 1e5
 
 FIELD_WAVES = 64
 """Plane waves whose sum is the compass field; the more, the nearer to a Gaussian field."""
+
+
+class Fills(NamedTuple):
+    """Addresses of NumPy's functions that fill arrays with random numbers; 0 where its library hides them.
+
+    They are what the methods of a `Generator` call, and draw the same numbers. NumPy documents to take them from there
+    ("Extending", the example with CFFI). A method costs more than it takes to draw the numbers of a scan.
+    """
+
+    normal: int
+    uniform_f: int
+    normal_f: int
+
+
+def numpy_fills() -> Fills:
+    """Return the addresses of NumPy's functions in this process."""
+    library = ctypes.CDLL(np.random._generator.__file__)  # pyright: ignore[reportAttributeAccessIssue]
+    names = ("random_standard_normal_fill", "random_standard_uniform_fill_f", "random_standard_normal_fill_f")
+    functions = (getattr(library, name, None) for name in names)
+    return Fills(*(ctypes.cast(function, ctypes.c_void_p).value or 0 if function else 0 for function in functions))
+
+
+FILLS = numpy_fills()
 
 
 class Sensors:
@@ -50,6 +74,7 @@ class Sensors:
         self._field = np.zeros((num_robots, waves, 3))
         self._field_amplitude = math.radians(noise.compass_field_deg) * math.sqrt(2 / FIELD_WAVES)
         self._white = math.radians(noise.compass_white_deg)
+        self._drifts = noise.distance_drift > 0 or self._white > 0
         self._normals = np.zeros((num_robots, 2))
         drawn = 0 if noise.laser_is_exact else laser.num_beams
         # Single precision, as the observations are: it is drawn in half the time.
@@ -77,9 +102,7 @@ class Sensors:
         rngs : sequence of N Generators
         """
         noise = self.noise
-        if noise.distance_drift > 0 or self._white > 0:
-            for row in rows:
-                rngs[row].standard_normal(out=self._normals[row])
+        self._draw(rows, rngs)
         read_rows(
             rows,
             drive,
@@ -94,9 +117,6 @@ class Sensors:
         )
         if noise.laser_is_exact:
             return
-        for row in rows:
-            rngs[row].random(dtype=np.float32, out=self._beam_uniforms[row])
-            rngs[row].standard_normal(dtype=np.float32, out=self._beam_normals[row])
         disturb_rows(
             rows,
             self.true_ranges,
@@ -107,10 +127,39 @@ class Sensors:
             self.ranges,
         )
 
+    def _draw(self, rows: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
+        """Draw the random numbers of a step, from each robot's own generator."""
+        if not self._drifts and self.noise.laser_is_exact:
+            return
+        if all(FILLS):
+            generators = [rngs[row].bit_generator.ctypes.bit_generator.value for row in rows.tolist()]
+            arrays = self._normals, self._beam_uniforms, self._beam_normals
+            draw_rows(rows, np.array(generators, np.int64), FILLS, self._drifts, *arrays)
+            return
+        for row in rows:
+            if self._drifts:
+                rngs[row].standard_normal(out=self._normals[row])
+            rngs[row].random(dtype=np.float32, out=self._beam_uniforms[row])
+            rngs[row].standard_normal(dtype=np.float32, out=self._beam_normals[row])
+
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         if self.noise.laser_is_exact:
             self.ranges = self.true_ranges
+
+
+@compiled
+def draw_rows(rows, generators, fills, drifts, normals, beam_uniforms, beam_normals):
+    """Fill the rows of the arrays with random numbers; the first one only where a meter or compass `drifts`.
+
+    `generators` has the addresses of the robots' generators, one for each of `rows`.
+    """
+    for i in range(rows.shape[0]):
+        row, generator = rows[i], generators[i]
+        if drifts:
+            call_c(fills.normal, (generator, normals.shape[1], normals[row].ctypes.data))
+        call_c(fills.uniform_f, (generator, beam_uniforms.shape[1], beam_uniforms[row].ctypes.data))
+        call_c(fills.normal_f, (generator, beam_normals.shape[1], beam_normals[row].ctypes.data))
 
 
 @compiled

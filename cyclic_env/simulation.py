@@ -2,8 +2,8 @@
 
 Robots of one floor plan share a pymunk Space; they pass through each other and collide with walls only.
 A Space holds at most `WORLD_SIZE_MAX` of them, since robots at the same spot cost pymunk time in pairs. Bodies
-are read and written all at once, as `pymunk.batch` does it, which may change in any release of pymunk:
-so pymunk is pinned tightly and used here and nowhere else.
+are read and written all at once, as `pymunk.batch` does it, and compiled code calls pymunk's library itself. Both may
+change in any release of pymunk: so pymunk is pinned tightly and used here and nowhere else.
 
 Wheels act as a force and a torque before each substep, so that the contact solver has the last word.
 pymunk is not deterministic after a reset by itself: a body moved back in its Space keeps the contacts
@@ -15,22 +15,25 @@ from __future__ import annotations
 import math
 import os
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pymunk
 from pymunk._chipmunk_cffi import ffi, lib
 from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
-from cyclic_env.compiled import compiled
+from cyclic_env.compiled import call_c, compiled
 from cyclic_env.config import RobotConfig
 from cyclic_env.floor_plans import FloorPlan
 
-WORLD_SIZE_MIN, WORLD_SIZE_MAX = 16, 64
+WORLD_SIZE_MIN, WORLD_SIZE_MAX = 16, 32
 """Robots in one Space, measured: fewer cost calls, more cost pairs while they stand at the same start."""
 
 COLLISION_SLOP = 0.001
 """Metres of overlap that the contact solver leaves, so that a contact at rest does not flicker."""
+
+WORLDS_KEPT = 64
+"""Spaces without robots that are kept for those that come: to make one takes as long as thousands of steps."""
 
 PUSH = 1e-6
 """Metres a second. A robot is in contact when a wall changed the velocity that its wheels gave it by more."""
@@ -39,8 +42,6 @@ ROBOTS, WALLS = 0b01, 0b10
 READ = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 WRITE = BodyFields.FORCE | BodyFields.TORQUE
 READ_WIDTH, WRITE_WIDTH = 6, 3
-GET_BODY = ffi.addressof(lib, "pmSpaceBodyGetIteratorFuncBatched")
-SET_BODY = ffi.addressof(lib, "pmSpaceBodySetIteratorFuncBatched")
 SLACK = 64
 """Spare floats behind a batch buffer: pymunk grows a buffer, which is not its own, before it is quite full."""
 
@@ -125,28 +126,41 @@ def observe_body(body, robot):
         robot.contact = True
 
 
+class SpaceCalls(NamedTuple):
+    """Addresses of pymunk's functions, and of what they work on, for one Space."""
+
+    space: int
+    step: int
+    each_body: int
+    read: int
+    read_batch: int
+    write: int
+    write_batch: int
+
+
 @compiled
-def observe_step(bodies, rows, drive):
-    """Take over what the last substep of a control step did to the bodies."""
+def read_bodies(calls, counts):
+    """Read all bodies of a Space; `counts` has how many floats the batches for reading and writing hold."""
+    counts[0] = 0
+    call_c(calls.each_body, (calls.space, calls.read, calls.read_batch))
+
+
+@compiled
+def drive_bodies(calls, counts, bodies, forces, rows, drive, commands, substeps, mass, inertia, axle_track, lag, dt):
+    """Drive the robots of one Space for a control step; for the arguments see `read_bodies` and `command_substep`."""
+    for substep in range(substeps):
+        command_substep(bodies, forces, rows, drive, commands, substep == 0, mass, inertia, axle_track, lag, dt)
+        counts[1] = 0
+        call_c(calls.each_body, (calls.space, calls.write, calls.write_batch))
+        call_c(calls.step, (calls.space, dt))  # Space.step looks for callbacks and late additions; there are none
+        read_bodies(calls, counts)
     for i in range(rows.shape[0]):
         observe_body(bodies[i], drive[rows[i]])
 
 
-class BodyBatch:
-    """A batch call of `pymunk.batch`, prepared once: there, each call's set-up costs more than its work."""
-
-    def __init__(self, fields: BodyFields, floats: np.ndarray) -> None:
-        self._buffer = Buffer()
-        self._buffer.set_float_buf(floats)
-        self._batch = ffi.new("pmBatchedData *")
-        self._batch.fields = fields.value
-        self._batch.floatArray = self._floats = self._buffer._float_arr
-        self._batch.intArray = self._buffer._int_arr
-
-    def exchange(self, space: pymunk.Space, function: Any) -> None:
-        """Read or write all bodies of the Space."""
-        self._floats.num = 0
-        lib.cpSpaceEachBody(space._space, function, self._batch)
+def address_of(pointer: Any) -> int:
+    """Return the address that a pointer of pymunk's library holds."""
+    return int(ffi.cast("intptr_t", pointer))
 
 
 class World:
@@ -198,14 +212,23 @@ class World:
         read, write = (np.zeros((count + 1) * width + SLACK) for width in (READ_WIDTH, WRITE_WIDTH))
         self.body_states = read[: count * READ_WIDTH].reshape(count, READ_WIDTH)
         self.forces = write[: count * WRITE_WIDTH].reshape(count, WRITE_WIDTH)
-        self._read, self._write = BodyBatch(READ, read), BodyBatch(WRITE, write)
-        self._read.exchange(self.space, GET_BODY)
-
-    def step(self, dt: float) -> None:
-        """Apply `forces`, advance the Space by `dt` seconds, and read `body_states`."""
-        self._write.exchange(self.space, SET_BODY)
-        lib.cpSpaceStep(self.space._space, dt)  # Space.step looks for callbacks and late additions; there are none
-        self._read.exchange(self.space, GET_BODY)
+        # What `pymunk.batch` makes for each call, made once: there, that costs more than the work.
+        self._arrays, self._batches = ffi.new("pmFloatArray[2]"), ffi.new("pmBatchedData[2]")
+        for i, (fields, floats) in enumerate(((READ, read), (WRITE, write))):
+            self._arrays[i].arr, self._arrays[i].max = ffi.cast("double *", floats.ctypes.data), len(floats)
+            self._batches[i].floatArray, self._batches[i].fields = ffi.addressof(self._arrays, i), fields.value
+        self.counts = np.frombuffer(ffi.buffer(self._arrays), np.intc).reshape(2, -1)[:, 0]
+        names = (
+            "cpSpaceStep",
+            "cpSpaceEachBody",
+            "pmSpaceBodyGetIteratorFuncBatched",
+            "pmSpaceBodySetIteratorFuncBatched",
+        )
+        step, each_body, read_body, write_body = (ffi.addressof(lib, name) for name in names)
+        reading, writing = (ffi.addressof(self._batches, i) for i in range(2))
+        pointers = (self.space._space, step, each_body, read_body, reading, write_body, writing)
+        self.calls = SpaceCalls(*map(address_of, pointers))
+        read_bodies(self.calls, self.counts)
 
 
 class Simulation:
@@ -223,13 +246,14 @@ class Simulation:
 
     def __init__(self, robot: RobotConfig, plans: Sequence[FloorPlan], num_robots: int) -> None:
         self.robot = robot
-        self.plans = tuple(plans)
+        self.plans = tuple(plans)  # the engine adds those that come into use
         self.drive = np.zeros(num_robots, DRIVE)
         self.plan_of = np.full(num_robots, -1, np.int64)
         self.worlds: list[World] = []
         share = math.ceil(num_robots / num_cores())
         self._world_size = min(max(share, WORLD_SIZE_MIN), WORLD_SIZE_MAX)
         self._world_of: dict[int, World] = {}
+        self._empty: dict[int, World] = {}  # by their plans
         self._inertia = pymunk.moment_for_circle(robot.mass, 0.0, robot.radius)
         self._dt = robot.dt / robot.substeps
         lag = robot.wheel_time_constant
@@ -259,13 +283,16 @@ class Simulation:
         for world in self.worlds:
             if world.plan is self.plans[plan] and len(world.bodies) < self._world_size:
                 return world
-        self.worlds.append(World(self.plans[plan]))
+        self.worlds.append(self._empty.pop(plan, None) or World(self.plans[plan]))
         return self.worlds[-1]
 
     def _leave(self, world: World, row: int) -> None:
         world.remove(row)
         if not world.bodies:
             self.worlds.remove(world)
+            self._empty[int(self.plan_of[row])] = world
+            if len(self._empty) > WORLDS_KEPT:
+                del self._empty[next(iter(self._empty))]
 
     def drive_world(self, world: World, commands: np.ndarray) -> None:
         """Drive the robots of one Space for a control step.
@@ -278,22 +305,21 @@ class Simulation:
             Wheel speeds asked for, left and right, m/s; only the rows of this world are read.
         """
         robot = self.robot
-        for substep in range(robot.substeps):
-            command_substep(
-                world.body_states,
-                world.forces,
-                world.rows,
-                self.drive,
-                commands,
-                substep == 0,
-                robot.mass,
-                self._inertia,
-                robot.axle_track,
-                self._lag,
-                self._dt,
-            )
-            world.step(self._dt)
-        observe_step(world.body_states, world.rows, self.drive)
+        drive_bodies(
+            world.calls,
+            world.counts,
+            world.body_states,
+            world.forces,
+            world.rows,
+            self.drive,
+            commands,
+            robot.substeps,
+            robot.mass,
+            self._inertia,
+            robot.axle_track,
+            self._lag,
+            self._dt,
+        )
 
     def __getstate__(self) -> dict[str, Any]:
         bodies = {}

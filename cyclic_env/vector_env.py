@@ -23,6 +23,8 @@ from cyclic_env.interface import (
     checked_seed,
     observation_space,
     rehearsed,
+    restored,
+    snapshot,
     start_option,
 )
 from cyclic_env.rewards import REWARD_TERMS
@@ -104,7 +106,8 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         Raises
         ------
         ConfigError, FloorPlanError
-            If the seeds, the mask or the starts don't fit; the running episodes go on.
+            If the seeds, the mask or the starts don't fit, or a plan that is new to the pool; the running episodes go
+            on.
         """
         with self._turn:
             start = start_option(options, "reset_mask")
@@ -112,16 +115,25 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
             rows = np.flatnonzero(mask)
             starts = self._starts(start)
             seeds = self._row_seeds(seed)
-            if starts is not None:  # refuse before anything changes
+            if starts is not None or not self.engine.is_prepared:  # refuse before anything changes
                 rngs = self.np_random
                 for row in rows.tolist():
-                    self.engine.draw_place(rehearsed(rngs[row], seeds[row]), starts[row])
+                    self.engine.draw_place(rehearsed(rngs[row], seeds[row]), None if starts is None else starts[row])
             self._seed(seeds, mask)
             self._reset_rows(rows, starts)
             return self.engine.observation(), self._infos(mask)
 
     def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step every row, and reset those that the autoreset mode says."""
+        """Step every row, and reset those that the autoreset mode says.
+
+        Raises
+        ------
+        ActionError, UsageError
+            If the actions don't fit, or there is no episode to go on with; nothing has changed.
+        FloorPlanError
+            If a row that is reset draws a plan that does not suit the robot. The step has been taken, and the rows that
+            were to be reset are so in the next one, and draw anew.
+        """
         with self._turn:
             ended = self._ended.copy()
             if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
@@ -264,7 +276,10 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
 
     def __getstate__(self) -> dict[str, Any]:
         with self._turn:
-            return {**self.__dict__, "_renderers": []}
+            return snapshot({**self.__dict__, "_renderers": []}, ("engine", "_rngs", "_seeds", "_ended"))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(restored(state))
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -40,6 +40,7 @@ from agents.comparison import require_learning
 from cyclic_env import ConfigError, CyclicLoopVectorEnv, FloorPlan, load_floor_plan, map_names
 from cyclic_env.config import LaserConfig, RobotConfig
 from cyclic_env.engine import step_rows
+from cyclic_env.evaluation import check_writable
 from cyclic_env.floor_plans.wall_tiles import build_wall_tiles
 from cyclic_env.laser import beam_directions, scan, scan_row
 from cyclic_env.simulation import Simulation
@@ -117,7 +118,7 @@ def measure_laser() -> Iterator[Row]:
     """Time one scan of 180 beams on Killian Court, three ways."""
     plan, laser = load_floor_plan("killian_court"), LaserConfig()
     poses = free_poses(plan, 2000)
-    tiles, directions = build_wall_tiles([plan], laser.range_max), beam_directions(laser)
+    tiles, directions = build_wall_tiles(plan, laser.range_max), beam_directions(laser)
     scratch, ranges = np.empty(2 * laser.num_beams), np.empty((len(poses), laser.num_beams))
     compiled_scan = best_time(lambda: scan_all(tiles, poses, directions, laser.range_max, scratch, ranges)) / len(poses)
     twin = best_time(lambda: [scan(plan.walls, pose, laser) for pose in poses[:50]]) / 50
@@ -376,9 +377,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     if args.json:
         try:
-            args.json.open("a").close()
-        except OSError as error:
-            parser.error(f"--json: can't write to {args.json}: {error.strerror}")
+            check_writable(args.json)
+        except ConfigError as error:
+            parser.error(f"--json: {error}")
     measurements: list[Callable[[], Iterator[Row]]] = [
         measure_machine,
         measure_laser,

@@ -41,7 +41,7 @@ def cells_on_beams(plan: FloorPlan, pose: np.ndarray, size: float = 0.5) -> set[
 
 
 def test_a_scan_marks_the_free_cells_that_its_beams_pass(plan: FloorPlan) -> None:
-    grid = build_coverage_grid([plan], 1, CoverageConfig())
+    grid = build_coverage_grid(plan, 1, CoverageConfig())
     rng = np.random.default_rng(0)
     inside = plan.free_space.buffer(-0.3)
     x, y = shapely.get_coordinates(inside.representative_point())[0]
@@ -65,7 +65,7 @@ def test_a_scan_marks_the_free_cells_that_its_beams_pass(plan: FloorPlan) -> Non
 
 
 def test_only_cells_with_a_free_centre_count(square_room: FloorPlan) -> None:
-    grid = build_coverage_grid([square_room], 1, CoverageConfig())
+    grid = build_coverage_grid(square_room, 1, CoverageConfig())
     assert grid.cells_total[0] == round(square_room.free_area / 0.25)
 
 

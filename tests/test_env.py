@@ -10,6 +10,7 @@ import subprocess
 import sys
 import warnings
 from typing import Any
+from unittest.mock import Mock
 
 import gymnasium
 import numpy as np
@@ -21,7 +22,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_array_equal
 
 import cyclic_env
-from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv
+from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv, engine
 from cyclic_env.config import ACTION_TYPES, NOISE_PRESETS, ActionType
 from cyclic_env.engine import INFO
 from cyclic_env.rewards import REWARD_TERMS
@@ -438,3 +439,95 @@ def test_the_episode_truncates_at_the_step_budget() -> None:
     env = CyclicLoopEnv("ring", step_budget=10)
     rollout = roll_out(env, np.zeros((10, 4), np.float32), seed=0)
     assert [step[3] for step in rollout[1:11]] == [False] * 9 + [True]
+
+
+def test_a_pool_prepares_a_plan_when_a_row_first_draws_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    prepared: list[str] = []
+    build = engine.build_wall_tiles
+
+    def counted(plan: cyclic_env.FloorPlan, reach: float) -> Any:
+        prepared.append(plan.name)
+        return build(plan, reach)
+
+    monkeypatch.setattr(engine, "build_wall_tiles", counted)
+    env = CyclicLoopVectorEnv(4, "generated:train")
+    assert prepared == ["generated:train,index=0"]
+    for seed in (0, 1, 0):
+        env.reset(seed=seed)
+        assert {env.floor_plan(row).name for row in range(4)} <= set(prepared)
+    assert len(prepared) == len(set(prepared)) <= 9
+
+
+def test_plans_that_join_a_pool_late_change_no_bit_of_what_is_going_on() -> None:
+    # They grow, so that all arrays do, while row 0 goes on in the first.
+    pool = ["ring", "dead_ends", "grid", "killian_court"]
+    seed_of = [next(seed for seed in range(99) if np.random.default_rng(seed).integers(4) == plan) for plan in range(4)]
+    late, early = CyclicLoopVectorEnv(2, pool, noise="typical"), CyclicLoopVectorEnv(2, pool, noise="typical")
+    for seed in seed_of:
+        early.reset(seed=seed)
+    assert (early.engine.is_prepared, late.engine.is_prepared) == (True, False)
+    for plan, seed in enumerate(seed_of):
+        options = {"reset_mask": np.array([plan == 0, True])}
+        seeds = [seed_of[0], seed]
+        assert_same(late.reset(seed=seeds, options=options), early.reset(seed=seeds, options=options))
+        assert late.floor_plan(1).name == pool[plan]
+        for action in bumping_actions(60, 2):
+            assert_same(late.step(action), early.step(action))
+    assert late.engine.is_prepared
+    assert_array_equal(late.trajectory(0), early.trajectory(0))
+    assert_array_equal(late.seen_cells(0), early.seen_cells(0))
+    assert_same(pickle.loads(pickle.dumps(late)).reset(seed=3), early.reset(seed=3))
+
+
+def test_a_plan_that_does_not_suit_is_refused_by_the_reset_that_draws_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    reachable = cyclic_env.FloorPlan.reachable
+
+    def narrow(plan: cyclic_env.FloorPlan, *arguments: Any) -> Any:
+        if plan.name.startswith("generated"):
+            raise cyclic_env.FloorPlanError(f"floor plan {plan.name!r}: a corridor is too narrow.")
+        return reachable(plan, *arguments)
+
+    monkeypatch.setattr(cyclic_env.FloorPlan, "reachable", narrow)
+    pool = ["ring", "generated:train,index=3"]
+    with pytest.raises(cyclic_env.FloorPlanError, match="index=3"):
+        CyclicLoopEnv(pool)  # it is named, so it is checked at once
+    seed = next(seed for seed in range(5000) if np.random.default_rng(seed).integers(257) == 0)
+    for env in (CyclicLoopEnv(["ring", "generated:train"]), CyclicLoopVectorEnv(1, ["ring", "generated:train"])):
+        env.reset(seed=seed)
+        actions = np.zeros(env.action_space.shape or ())
+        env.step(actions)
+        with pytest.raises(cyclic_env.FloorPlanError, match=r"'generated:train,index=\d+': a corridor is too narrow"):
+            env.reset(seed=0)
+        env.step(actions)  # the running episode goes on
+        env.reset(seed=seed)
+        env.step(actions)
+
+
+def test_an_autoreset_that_draws_a_plan_that_does_not_suit_leaves_the_env_usable(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    env = CyclicLoopVectorEnv(2, ["ring", "generated:train"], step_budget=2, autoreset_mode="SAME_STEP")
+    seed = next(seed for seed in range(5000) if np.random.default_rng(seed).integers(257) == 0)
+    env.reset(seed=[seed, seed])
+    actions = np.zeros((2, 4))
+    env.step(actions)
+    with monkeypatch.context() as patch:
+        patch.setattr(engine.Engine, "_reach", Mock(side_effect=cyclic_env.FloorPlanError("too narrow")))
+        with pytest.raises(cyclic_env.FloorPlanError, match="too narrow"):
+            env.step(actions)
+    env.step(actions)
+    env.reset(seed=[seed, seed])
+    env.step(actions)
+
+
+@pytest.mark.parametrize("face", [CyclicLoopEnv, CyclicLoopVectorEnv])
+def test_a_pickle_is_of_one_moment_whoever_steps_meanwhile(face: Any) -> None:
+    env = face(map_name="ring", noise="typical")
+    env.reset(seed=0)
+    action = np.broadcast_to(np.array([0.3, -0.2, -1, 0], np.float32), env.action_space.shape)
+    env.step(action)
+    state = env.__getstate__()
+    expected = env.step(action)  # as another thread would, while what `__getstate__` gave is being written
+    twin = face.__new__(face)
+    twin.__setstate__(pickle.loads(pickle.dumps(state)))
+    assert_same(twin.step(action), expected)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -262,3 +263,28 @@ def spoilt_plans(draw: st.DrawFn, value: object = PLANS) -> object:
 def test_a_spoilt_plan_is_taken_or_refused_by_a_floor_plan_error(data: object) -> None:
     with contextlib.suppress(FloorPlanError):
         floor_plan_from_mapping(data).reachable(0.25)
+
+
+@pytest.mark.parametrize("path", [None, 3, ["a.yaml"]])
+def test_a_file_is_named_by_a_path(path: Any) -> None:
+    with pytest.raises(FloorPlanError, match="the file of a floor plan is a path; got"):
+        read_floor_plan(path)
+    with pytest.raises(FloorPlanError, match="the file of a floor plan is a path; got"):
+        write_floor_plan(square_plan(), path)
+
+
+def test_only_a_floor_plan_is_written(tmp_path: Path) -> None:
+    plan: Any = None
+    with pytest.raises(FloorPlanError, match=r"plan\.yaml: what is to be written must be a FloorPlan; got NoneType"):
+        write_floor_plan(plan, tmp_path / "plan.yaml")
+    assert not (tmp_path / "plan.yaml").exists()
+
+
+def test_the_buildings_of_a_split_are_drawn_when_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[str] = []
+    monkeypatch.setattr("cyclic_env.floor_plans.library.building_from_name", lambda name: drawn.append(name))
+    pool = load_floor_plans(["ring", "generated:train"])
+    assert (len(pool), list(pool.loaded), drawn) == (257, [0], [])
+    assert pool.names[:2] == ["ring", "generated:train,index=0"]
+    pool[5]
+    assert drawn == ["generated:train,index=4"]

@@ -272,8 +272,8 @@ def test_a_split_is_a_pool_of_all_its_members() -> None:
     plans = load_floor_plans(["ring", "generated:validation"])
     assert len(plans) == 65
     assert plans[3] is load_floor_plan("generated:validation,index=2")
-    assert pool_label(plans) == "ring,generated:validation"
-    assert pool_label(plans[1:3]) == "generated:validation,index=0,generated:validation,index=1"
+    assert pool_label(plans.names) == "ring,generated:validation"
+    assert pool_label(plans[1:3].names) == "generated:validation,index=0,generated:validation,index=1"
 
 
 def test_each_reset_draws_a_building_of_the_split() -> None:

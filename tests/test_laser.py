@@ -23,7 +23,7 @@ class Scanner:
     """The compiled laser in one plan."""
 
     def __init__(self, plan: FloorPlan, laser: LaserConfig = LASER) -> None:
-        self.tiles, self.directions = build_wall_tiles([plan], laser.range_max), beam_directions(laser)
+        self.tiles, self.directions = build_wall_tiles(plan, laser.range_max), beam_directions(laser)
         self.laser = laser
 
     def __call__(self, x: float, y: float, heading: float) -> np.ndarray:
@@ -75,7 +75,7 @@ def test_it_equals_its_twin_in_line_with_corners_and_walls(plan: FloorPlan) -> N
 
 @pytest.mark.parametrize("reach", [0.3, 3.0, 12.0])
 def test_each_tile_lists_the_walls_within_reach_that_face_it(plan: FloorPlan, reach: float) -> None:
-    tiles = build_wall_tiles([plan], reach)
+    tiles = build_wall_tiles(plan, reach)
     west, south, columns, rows, _ = tiles.grids[0]
     walls = shapely.linestrings(plan.walls.reshape(-1, 2, 2))
     x1, y1, x2, y2 = plan.walls.T

@@ -98,7 +98,7 @@ def compiled_run(
     names = {None: NO_CLAIM, "nearest": NEAREST}
     claimed = np.array([names.get(claim, claim) for claim in claims], np.int64)
     record = np.zeros(steps + 1, STATUS)
-    memory = allocate_memory([plan], 1, steps, config)
+    memory = allocate_memory(plan, 1, steps, config)
     run_compiled(memory, closure_rules(config), np.array(positions, np.float64), claimed, ends, record)
     return record, memory.claims[0, : record["claims"][-1]].tolist()
 
@@ -447,7 +447,7 @@ def test_driving_to_and_fro_closes_no_cycle():
 
 def test_memory_of_an_earlier_episode_is_forgotten():
     lap, hall = way(*RING_LAP), way((12, 2), (22, 2), (12, 2))
-    memory = allocate_memory([RING], 1, len(lap), ClosureConfig())
+    memory = allocate_memory(RING, 1, len(lap), ClosureConfig())
     rules = closure_rules(ClosureConfig())
     for positions in (lap, hall):
         claimed = np.full(len(positions) - 1, NO_CLAIM)

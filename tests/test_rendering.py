@@ -17,7 +17,7 @@ import shapely
 from cyclic_env.colours import AMBER, RIGHT, WRONG
 from cyclic_env.env import CyclicLoopEnv
 from cyclic_env.errors import ConfigError, UsageError
-from cyclic_env.floor_plans import FloorPlan, load_floor_plan
+from cyclic_env.floor_plans import FloorPlan, PlanPool, load_floor_plan, load_floor_plans
 from cyclic_env.vector_env import CyclicLoopVectorEnv
 
 pygame = pytest.importorskip("pygame")
@@ -46,7 +46,7 @@ def dummy_display(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 def scene(env: CyclicLoopEnv) -> Scene:
-    return scene_of(env.floor_plan, canvas_size((env.floor_plan,)))
+    return scene_of(env.floor_plan, canvas_size(PlanPool((env.floor_plan,))))
 
 
 def forward(env: CyclicLoopEnv, steps: int) -> None:
@@ -95,7 +95,7 @@ def test_frame_is_an_rgb_picture_with_even_sides_and_no_larger_than_a_screen(pla
 @pytest.mark.parametrize(("width", "height"), [(2.0, 2.0), (200.0, 4.0), (4.0, 200.0), (120.0, 120.0), (1000.0, 700.0)])
 def test_any_shape_of_building_lies_within_the_picture_and_clear_of_the_close_up(width: float, height: float) -> None:
     plan = FloorPlan("room", shapely.box(-7, 3, -7 + width, 3 + height), (-6.0, 4.0, 0.0))
-    scene = scene_of(plan, canvas_size((plan,)))
+    scene = scene_of(plan, canvas_size(PlanPool((plan,))))
     west, south, east, north = plan.bounds
     (left, top), (right, bottom) = scene.view.pixels([(west, north), (east, south)])
     assert left >= 0
@@ -110,7 +110,7 @@ def test_any_shape_of_building_lies_within_the_picture_and_clear_of_the_close_up
 
 def test_close_up_covers_no_corridor_of_killian_court() -> None:
     plan = load_floor_plan("killian_court")
-    scene = scene_of(plan, canvas_size((plan,)))
+    scene = scene_of(plan, canvas_size(PlanPool((plan,))))
     assert scene.inset is not None
     assert (scene.overlay.subsurface(scene.inset).get_at((5, 5))).a == 255
     alpha = pygame.surfarray.array_alpha(scene.overlay.subsurface(scene.inset))
@@ -368,3 +368,7 @@ def test_scores_of_the_record_are_the_engines(env: CyclicLoopEnv) -> None:
     env.reset()
     assert len(env.engine.claims(0)) == 0
     assert env.engine.outcome[0]["episode_return"] == 0.0
+
+
+def test_pictures_of_a_pool_with_plans_yet_to_be_drawn_are_as_large_as_any() -> None:
+    assert canvas_size(load_floor_plans(["ring", "generated:train"])) == SIZE_MAX

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import shutil
 import subprocess
 import sys
@@ -14,6 +15,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from conftest import ROOT, load_script
 from stable_baselines3 import PPO
 
@@ -387,3 +389,40 @@ def test_phases_of_a_step_add_up_to_the_step() -> None:
     assert {row.name.split(": ")[1] for row in phases} > {"drive (pymunk)", "laser", "rest"}
     assert all(row.value > 0 for row in phases)
     assert sum(row.value for row in phases) == pytest.approx(together.value)
+
+
+@pytest.mark.parametrize("spoilt", [False, True])
+def test_a_training_that_fails_keeps_what_was_learnt(
+    spoilt: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    arguments = ["--num-envs", "4", "--out", str(tmp_path), "--steps", "1500"]
+    step_wait, train_step, calls = CyclicLoopVecEnv.step_wait, PPO.train, 0
+
+    def failing(self: CyclicLoopVecEnv) -> Any:
+        nonlocal calls
+        calls += 1
+        if calls == 200:
+            raise RuntimeError("no such\nluck")
+        return step_wait(self)
+
+    def spoiling(self: PPO) -> None:
+        train_step(self)
+        next(iter(self.policy.parameters())).data[:] = math.nan
+
+    with monkeypatch.context() as patch:
+        patch.setattr(CyclicLoopVecEnv, "step_wait", failing)
+        if spoilt:
+            patch.setattr(PPO, "train", spoiling)
+        assert train_main(arguments) == 2
+    (said,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("train.py")]
+    assert "the training failed after" in said
+    assert ("weights are not finite" if spoilt else "has what was learnt") in said
+    assert (json.loads((tmp_path / SETTINGS).read_text())["steps"] > 0) != spoilt
+    assert all(torch.isfinite(weights).all() for weights in load_trained(tmp_path).model.policy.parameters())
+
+
+def test_benchmark_refuses_a_file_that_it_cannot_write(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(SystemExit, match="2"):
+        benchmark.main(["--json", str(tmp_path / "taken" / "rates.json")])
+    assert "--json: can't write to" in capsys.readouterr().err

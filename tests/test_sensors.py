@@ -17,7 +17,7 @@ from scipy.stats import kstest, norm
 from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv
 from cyclic_env.config import NOISE_PRESETS, LaserConfig, NoiseConfig
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan
-from cyclic_env.sensors import Sensors, field_at
+from cyclic_env.sensors import FILLS, Sensors, field_at
 from cyclic_env.simulation import DRIVE
 
 LASER = LaserConfig(num_beams=4)
@@ -315,3 +315,19 @@ def test_a_seed_gives_the_same_readings_in_a_batch_of_any_size(preset: str) -> N
     alone, among, other = readings([7], 0), readings([3, 9, 7, 1], 2), readings([8], 0)
     assert all((one == two).all() for one, two in zip(alone, among, strict=True))
     assert not all((one == two).all() for one, two in zip(alone, other, strict=True))
+
+
+@pytest.mark.parametrize(
+    "noise", ["calibrated", "poor", NoiseConfig(laser_sigma=0.1), NoiseConfig(compass_white_deg=1)]
+)
+def test_numbers_are_those_that_the_generators_own_methods_draw(noise: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    runs = []
+    for fills in (FILLS, FILLS._replace(normal_f=0)):  # as where NumPy's library hides a function
+        monkeypatch.setattr("cyclic_env.sensors.FILLS", fills)
+        env = CyclicLoopVectorEnv(3, "ring", noise=noise)
+        env.reset(seed=0)
+        steps = [env.step(np.full((3, 4), 0.5))[0] for _ in range(20)]
+        runs.append({name: [step[name].tobytes() for step in steps] for name in steps[0]})
+        runs[-1]["next"] = [rng.bit_generator.state for rng in env.np_random]
+    assert all(FILLS)
+    assert runs[0] == runs[1]

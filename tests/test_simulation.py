@@ -9,7 +9,7 @@ import pytest
 import shapely
 
 from cyclic_env.config import RobotConfig
-from cyclic_env.floor_plans import FloorPlan
+from cyclic_env.floor_plans import FloorPlan, load_floor_plan
 from cyclic_env.simulation import WORLD_SIZE_MAX, Simulation
 
 ROBOT = RobotConfig()
@@ -128,3 +128,20 @@ def test_spaces_hold_few_robots_and_go_when_the_last_one_leaves(square_room: Flo
         simulation.place(row, 1, other.start)
     assert {world.plan for world in simulation.worlds} == {other}
     assert len(simulation.worlds) == len(sizes)
+
+
+def test_a_space_that_was_left_serves_as_a_new_one() -> None:
+    plans = [load_floor_plan("ring"), load_floor_plan("figure_eight")]
+    used = Simulation(RobotConfig(), plans, 1)
+    commands = np.array([[1.0, 0.8]])
+    tracks = []
+    for plan in (0, 1, 0):
+        used.place(0, plan, plans[plan].start)
+        (world,) = used.worlds
+        drives = []
+        for _ in range(60):
+            used.drive_world(world, commands)
+            drives.append(used.drive.copy())
+        tracks.append((world, np.array(drives).tobytes()))
+    assert tracks[0][0] is tracks[2][0]
+    assert tracks[0][1] == tracks[2][1]

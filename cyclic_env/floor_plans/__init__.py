@@ -11,7 +11,14 @@ from cyclic_env.floor_plans.files import (
 )
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
 from cyclic_env.floor_plans.generator import generate
-from cyclic_env.floor_plans.library import MapName, load_floor_plan, load_floor_plans, map_names, separate_names
+from cyclic_env.floor_plans.library import (
+    MapName,
+    PlanPool,
+    load_floor_plan,
+    load_floor_plans,
+    map_names,
+    separate_names,
+)
 from cyclic_env.floor_plans.occupancy import (
     OccupancyGrid,
     occupancy_grid_from_mapping,
@@ -26,6 +33,7 @@ __all__ = [
     "FloorPlan",
     "MapName",
     "OccupancyGrid",
+    "PlanPool",
     "Tracing",
     "floor_plan_from_mapping",
     "floor_plan_from_text",

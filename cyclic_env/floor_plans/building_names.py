@@ -24,9 +24,9 @@ def split_names(name: str) -> list[str]:
     return [f"{PREFIX}:{split},index={i}" for i in range(SPLITS[split].plans)] if split in SPLITS else []
 
 
-def pool_label(plans: Sequence[FloorPlan]) -> str:
-    """Return the names of the plans, with commas between; a split that is complete goes by its own."""
-    label = ",".join(plan.name for plan in plans)
+def pool_label(names: Sequence[str]) -> str:
+    """Return the names of a pool's plans, with commas between; a split that is complete goes by its own."""
+    label = ",".join(names)
     for split in SPLITS:
         label = label.replace(",".join(split_names(f"{PREFIX}:{split}")), f"{PREFIX}:{split}")
     return label

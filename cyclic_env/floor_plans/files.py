@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -29,7 +30,7 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
     FloorPlanError
         Naming the file and the key, if the file can't be read or does not follow the format.
     """
-    path = Path(path)
+    path = _checked_path(path)
     if path.suffix.lower() in IMAGE_SUFFIXES:
         raise FloorPlanError(
             f"{path}: a picture does not say how large a pixel is; name a YAML file with the keys image, resolution "
@@ -44,6 +45,12 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
         return replace(plan, file=str(path))
     except FloorPlanError as error:
         raise FloorPlanError(f"{path}: {error}") from error
+
+
+def _checked_path(path: object) -> Path:
+    if not isinstance(path, str | os.PathLike):
+        raise FloorPlanError(f"the file of a floor plan is a path; got {type(path).__name__}.")
+    return Path(os.fsdecode(path))
 
 
 def floor_plan_from_text(text: str) -> FloorPlan:
@@ -63,11 +70,14 @@ def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
     Raises
     ------
     FloorPlanError
-        If the file can't be written.
+        If it is no floor plan, or the file can't be written.
     """
+    path = _checked_path(path)
+    if not isinstance(plan, FloorPlan):
+        raise FloorPlanError(f"{path}: what is to be written must be a FloorPlan; got {type(plan).__name__}.")
     text = floor_plan_to_text(plan, digits=6)
     try:
-        Path(path).write_text(text, encoding="utf-8")
+        path.write_text(text, encoding="utf-8")
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import overload
 
 from cyclic_env.errors import FloorPlanError, shown, unknown_name
 from cyclic_env.floor_plans.building_names import building_from_name, is_generated, split_names
@@ -14,6 +16,39 @@ from cyclic_env.floor_plans.files import read_floor_plan
 from cyclic_env.floor_plans.floor_plan import FloorPlan
 
 MapName = str | os.PathLike[str] | FloorPlan
+
+
+@dataclass(frozen=True)
+class PlanPool(Sequence[FloorPlan]):
+    """The floor plans of a pool; the buildings of a split are drawn when they are first asked for.
+
+    Attributes
+    ----------
+    entries : tuple of FloorPlan or str
+        The plans, and the names of the buildings that are yet to be drawn.
+    """
+
+    entries: tuple[FloorPlan | str, ...]
+
+    @property
+    def names(self) -> list[str]:
+        """The names of the plans."""
+        return [entry if isinstance(entry, str) else entry.name for entry in self.entries]
+
+    @property
+    def loaded(self) -> dict[int, FloorPlan]:
+        """The plans that need not be drawn, by their places in the pool."""
+        return {i: entry for i, entry in enumerate(self.entries) if isinstance(entry, FloorPlan)}
+
+    def __len__(self) -> int:
+        return len(self.entries)
+
+    @overload
+    def __getitem__(self, index: int) -> FloorPlan: ...
+    @overload
+    def __getitem__(self, index: slice) -> PlanPool: ...
+    def __getitem__(self, index: int | slice) -> FloorPlan | PlanPool:
+        return PlanPool(self.entries[index]) if isinstance(index, slice) else load_floor_plan(self.entries[index])
 
 
 def maps_folder() -> Path:
@@ -68,8 +103,8 @@ def load_floor_plan(map_name: MapName) -> FloorPlan:
     raise FloorPlanError(unknown_name("map", text, names))
 
 
-def load_floor_plans(map_name: MapName | Sequence[MapName]) -> tuple[FloorPlan, ...]:
-    """Return the plans of one map or of a pool of maps; the name of a split stands for all of its buildings.
+def load_floor_plans(map_name: MapName | Sequence[MapName]) -> PlanPool:
+    """Return the pool of one map or of several; the name of a split stands for all of its buildings.
 
     Raises
     ------
@@ -82,8 +117,11 @@ def load_floor_plans(map_name: MapName | Sequence[MapName]) -> tuple[FloorPlan, 
         raise FloorPlanError(
             f"a map is a name, a path, a FloorPlan, or a list of these that is not empty; got {shown(map_name)}."
         )
-    names = [each for name in map_name for each in (isinstance(name, str) and split_names(name)) or [name]]
-    return tuple(load_floor_plan(name) for name in names)
+    entries: list[FloorPlan | str] = []
+    for name in map_name:
+        buildings = split_names(name) if isinstance(name, str) else []
+        entries.extend(buildings or [load_floor_plan(name)])
+    return PlanPool(tuple(entries))
 
 
 def separate_names(text: str) -> list[str]:

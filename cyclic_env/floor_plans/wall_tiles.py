@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -50,45 +49,53 @@ class WallTiles(NamedTuple):
     indices: np.ndarray
 
 
-def build_wall_tiles(plans: Sequence[FloorPlan], reach: float) -> WallTiles:
-    """Index the walls of `plans` by the tiles from which a point at most `reach` metres away may meet them.
+def build_wall_tiles(plan: FloorPlan, reach: float) -> WallTiles:
+    """Index the walls of a plan by the tiles from which a point at most `reach` metres away may meet them.
 
     Raises
     ------
     FloorPlanError
-        If a plan has too many tiles.
+        If the plan has too many tiles.
     """
-    grids: list[tuple[float, float, int, int, int]] = []
-    walls, counts, indices = [], [], []
-    num_tiles = num_walls = 0
-    for plan in plans:
-        west, south, east, north = plan.bounds
-        nx, ny = (int(np.ceil((high - low) / TILE_SIZE)) for low, high in ((west, east), (south, north)))
-        if nx * ny > TILES_MAX:
-            raise FloorPlanError(
-                f"floor plan {plan.name!r} spans {east - west:.0f} m x {north - south:.0f} m; "
-                f"at most {TILES_MAX * TILE_SIZE**2 / 1e6:g} km2 can be searched for walls. Cut it into parts."
-            )
-        x, y = np.meshgrid(west + TILE_SIZE * np.arange(nx), south + TILE_SIZE * np.arange(ny))
-        boxes = shapely.box(x.ravel(), y.ravel(), x.ravel() + TILE_SIZE, y.ravel() + TILE_SIZE)
-        used = shapely.intersects(plan.prepared_space(), boxes)
-        walls.append(np.ascontiguousarray(plan.walls))
-        grids.append((west, south, nx, ny, num_tiles))
-        facing = np.zeros(nx * ny, np.int64)
-        # Once to count the walls of each tile, and once to list them.
-        list_walls(walls[-1], west, south, nx, reach + ROUNDING, used, facing, np.empty(0, np.int32))
-        listed = np.empty(facing.sum(), np.int32)
-        list_walls(walls[-1], west, south, nx, reach + ROUNDING, used, np.cumsum(facing) - facing, listed)
-        counts.append(facing)
-        indices.append(listed + num_walls)
-        num_tiles += nx * ny
-        num_walls += len(plan.walls)
+    west, south, east, north = plan.bounds
+    nx, ny = (int(np.ceil((high - low) / TILE_SIZE)) for low, high in ((west, east), (south, north)))
+    if nx * ny > TILES_MAX:
+        raise FloorPlanError(
+            f"floor plan {plan.name!r} spans {east - west:.0f} m x {north - south:.0f} m; "
+            f"at most {TILES_MAX * TILE_SIZE**2 / 1e6:g} km2 can be searched for walls. Cut it into parts."
+        )
+    x, y = np.meshgrid(west + TILE_SIZE * np.arange(nx), south + TILE_SIZE * np.arange(ny))
+    boxes = shapely.box(x.ravel(), y.ravel(), x.ravel() + TILE_SIZE, y.ravel() + TILE_SIZE)
+    used = shapely.intersects(plan.prepared_space(), boxes)
+    walls = np.ascontiguousarray(plan.walls)
+    # Once to count the walls of each tile, and once to list them.
+    counts = np.zeros(nx * ny, np.int64)
+    list_walls(walls, west, south, nx, reach + ROUNDING, used, counts, np.empty(0, np.int32))
+    indices = np.empty(counts.sum(), np.int32)
+    list_walls(walls, west, south, nx, reach + ROUNDING, used, np.cumsum(counts) - counts, indices)
     return WallTiles(
-        grids=np.array(grids, GRID),
-        walls=np.ascontiguousarray(np.concatenate(walls)),
-        offsets=np.concatenate([[0], np.cumsum(np.concatenate(counts))]).astype(np.int64),
-        indices=np.concatenate(indices).astype(np.int32),
+        grids=np.array([(west, south, nx, ny, 0)], GRID),
+        walls=walls,
+        offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        indices=indices,
     )
+
+
+def joined_wall_tiles(tiles: WallTiles, others: WallTiles) -> WallTiles:
+    """Return the index of the walls of both pools of plans, those of `others` last."""
+    return WallTiles(
+        grids=joined_grids(tiles.grids, others.grids, len(tiles.offsets) - 1),
+        walls=np.concatenate([tiles.walls, others.walls]),
+        offsets=np.concatenate([tiles.offsets, tiles.offsets[-1] + others.offsets[1:]]),
+        indices=np.concatenate([tiles.indices, others.indices + np.int32(len(tiles.walls))]),
+    )
+
+
+def joined_grids(grids: np.ndarray, others: np.ndarray, count: int) -> np.ndarray:
+    """Return the squares of both pools of plans, there being `count` of them in the first one."""
+    joined = np.concatenate([grids, others])
+    joined["first"][len(grids) :] += count
+    return joined
 
 
 @compiled
