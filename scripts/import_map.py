@@ -125,14 +125,14 @@ def run(args: argparse.Namespace) -> list[Path]:
         plan = load_floor_plan(args.input)
         print(table(plan))
     written = []
-    exports: tuple[Path, ...] = ()
+    exports: list[Path] = []
     exported: OccupancyGrid | None = None
     if args.export:
         if Path(plan.name).name != plan.name or not plan.name.isprintable():
             raise ConfigError(
                 f"--export: the plan's name {shown(plan.name)} is no name of a file; change it in {args.input}."
             )
-        exports = args.export / f"{plan.name}.yaml", args.export / f"{plan.name}.pgm"
+        exports = [args.export / f"{plan.name}{suffix}" for suffix in (".yaml", ".pgm")]
         check_outputs(filter(None, (args.out, args.figure, *exports)), inputs)
         resolution = args.resolution if args.resolution is not None else grid.resolution if grid else EXPORT_RESOLUTION
         exported = rasterise(plan, resolution)

@@ -231,7 +231,9 @@ def _decoded(path: Path) -> Image:
         with picture:
             _check_size(picture.height, picture.width)
             picture.load()
-        if picture.mode == "F" or (picture.mode == "I" and not 0 <= np.min(picture) <= np.max(picture) < 2**16):
+        if picture.mode == "F" or (
+            picture.mode == "I" and not 0 <= np.asarray(picture).min() <= np.asarray(picture).max() < 2**16
+        ):
             raise FloorPlanError("its pixels have 32 bits; save it with 8 or 16.")
         return picture
     except FloorPlanError as error:
