@@ -11,6 +11,7 @@ differ by less than `HOPEFUL`, a pattern search moves on in ever smaller steps. 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ import shapely
 
 from cyclic_env.compiled import compiled
 from cyclic_env.config import ClosureConfig, LaserConfig, RobotConfig
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.floor_plans.wall_tiles import build_wall_tiles
 from cyclic_env.laser import beam_directions, scan_row
@@ -42,6 +44,12 @@ CANDIDATES_APART = 1.0
 
 STEPS = (0.25, 0.125, 0.0625, 0.03125)
 """Metres. The steps of the pattern search, the first half of the fine lattice's."""
+
+LATTICE_MAX = 2_000_000
+"""Most points of the fine lattice, in the rectangle around a plan: some 3 GB of scans."""
+
+AT_ONCE = 200
+"""Places that are compared with all others in one call."""
 
 LASER = LaserConfig()
 SHUFFLE = 77
@@ -68,13 +76,23 @@ class PlaceLooks(NamedTuple):
         return float(self.alike.mean()) if len(self.alike) else 0.0
 
 
-def look_alikes(plan: FloorPlan, radius: float = RobotConfig().radius) -> PlaceLooks:
+def look_alikes(
+    plan: FloorPlan, radius: float = RobotConfig().radius, *, progress: Callable[[int, int], None] | None = None
+) -> PlaceLooks:
     """Return the places of a building where a robot of that radius can stand, and which have a look-alike far away.
+
+    Parameters
+    ----------
+    plan : FloorPlan
+    radius : float
+        Of the robot, metres.
+    progress : callable, optional
+        Called now and then with the number of places that have been compared, and of all.
 
     Raises
     ------
     FloorPlanError
-        If the robot can't drive the plan.
+        If the robot can't drive the plan, or the plan is too large.
     """
     points, rows = _lattice(plan.reachable(radius))
     tiles, directions = build_wall_tiles(plan, LASER.range_max), beam_directions(LASER)
@@ -85,12 +103,27 @@ def look_alikes(plan: FloorPlan, radius: float = RobotConfig().radius) -> PlaceL
     chosen = np.empty((len(rows), CANDIDATES), np.int64)
     # With the beams shuffled, any few of them look all around, and most comparisons end early.
     shuffled = np.ascontiguousarray(scans[:, beams * SHUFFLE % len(beams)])
-    nearest_looks(points, shuffled, rows, FAR, HOPEFUL, CANDIDATES_APART, np.empty(CANDIDATES), chosen)
     alike = np.empty(len(rows), np.bool_)
-    steps = np.array(STEPS)
-    search_looks(
-        tiles, points, scans, rows, chosen, directions, LASER.range_max, FAR, TOLERANCE, steps, *scratch, alike
-    )
+    differences, steps = np.empty(CANDIDATES), np.array(STEPS)
+    for begin in range(0, len(rows), AT_ONCE):  # Ctrl-C is heard between two calls of compiled code
+        part = slice(begin, begin + AT_ONCE)
+        nearest_looks(points, shuffled, rows[part], FAR, HOPEFUL, CANDIDATES_APART, differences, chosen[part])
+        search_looks(
+            tiles,
+            points,
+            scans,
+            rows[part],
+            chosen[part],
+            directions,
+            LASER.range_max,
+            FAR,
+            TOLERANCE,
+            steps,
+            *scratch,
+            alike[part],
+        )
+        if progress is not None:
+            progress(min(part.stop, len(rows)), len(rows))
     return PlaceLooks(points[rows], alike)
 
 
@@ -103,6 +136,11 @@ def _lattice(area: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
     """Return the points of the fine lattice inside an area, `(m, 2)`, and the rows of those that are places."""
     west, south, east, north = area.bounds
     fine = SPACING / 2
+    if (east - west) * (north - south) > LATTICE_MAX * fine**2:
+        raise FloorPlanError(
+            f"a plan of {east - west:,.0f} m x {north - south:,.0f} m is too large to be searched for look-alikes: at "
+            f"most {LATTICE_MAX * fine**2:,.0f} m2; are the units metres?"
+        )
     columns, rows = np.arange(np.ceil(west / fine), east / fine), np.arange(np.ceil(south / fine), north / fine)
     i, j = (axis.ravel() for axis in np.meshgrid(columns, rows))
     shapely.prepare(area)

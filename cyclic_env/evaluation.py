@@ -501,6 +501,24 @@ def check_writable(path: Path) -> None:
         raise ConfigError(f"can't write to {path}: {error.strerror}.") from error
 
 
+def check_outputs(paths: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
+    """Check, before hours of work, that all files can be written, each its own, and none over what is read.
+
+    Raises
+    ------
+    ConfigError
+        If it is not so.
+    """
+    read, written = {path.resolve() for path in inputs}, set[Path]()
+    for path in paths:
+        check_writable(path)
+        if path.resolve() in read:
+            raise ConfigError(f"{path} would be written over, but it is read; give another name or folder.")
+        if path.resolve() in written:
+            raise ConfigError(f"{path} would be written twice; give each file a name of its own.")
+        written.add(path.resolve())
+
+
 class ProgressLine:
     """How far a long piece of work is, on stderr: a line drawn over itself, or without a terminal a line now and then.
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from cyclic_env.colours import AMBER, BEAM, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SEEN, SOLID, WALL, WRONG
 from cyclic_env.errors import ConfigError
 from cyclic_env.rendering import draw_picture, pygame
+from cyclic_env.whole_file import whole_file
 
 if TYPE_CHECKING:
     from cyclic_env.env import CyclicLoopEnv
@@ -74,6 +75,7 @@ class Film:
         first, *others = self._frames
         durations = [round(1000 * FRAME_S)] * len(others) + [round(1000 * LAST_FRAME_S)]
         try:
-            first.save(path, "GIF", save_all=True, append_images=others, duration=durations, loop=0, optimize=False)
+            with whole_file(path) as part:
+                first.save(part, "GIF", save_all=True, append_images=others, duration=durations, loop=0, optimize=False)
         except OSError as error:
             raise ConfigError(f"can't write to {path}: {error.strerror or error}.") from error

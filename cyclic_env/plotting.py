@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from pathlib import Path as FilePath
 
 import numpy as np
 
@@ -18,6 +19,7 @@ from cyclic_env.floor_plans import FloorPlan
 
 try:
     from matplotlib.axes import Axes
+    from matplotlib.backend_bases import FigureCanvasBase
     from matplotlib.collections import LineCollection
     from matplotlib.colors import LinearSegmentedColormap
     from matplotlib.figure import Figure
@@ -62,6 +64,21 @@ AREA_STYLES: dict[str, tuple[Colour, Colour, Colour]] = {
 """Fill, edge and number of an open area in each state."""
 
 
+def check_figure(path: FilePath) -> None:
+    """Check, before the work, that a figure's file has a suffix that says its format.
+
+    Raises
+    ------
+    ConfigError
+        If it has not.
+    """
+    known = FigureCanvasBase.get_supported_filetypes()
+    if path.suffix.lower().removeprefix(".") not in known:
+        raise ConfigError(
+            f"{path}: a figure's name ends with one of: {', '.join(f'.{name}' for name in sorted(known))}."
+        )
+
+
 def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, Axes]:
     """Return a figure of the building, and its axes, in metres.
 
@@ -87,8 +104,9 @@ def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, 
         spine.set_edgecolor(_rgb(FAINT))
         spine.set_linewidth(0.5)
     _draw_building(axes, plan, linewidth=0.7)
-    figure.text(LEFT / WIDTH, 1 - 0.2 / total, title, fontsize=11, fontweight="bold", color=_rgb(INK), va="center")
-    figure.text(LEFT / WIDTH, 1 - 0.42 / total, scores, fontsize=8.5, color=_rgb(INK), va="center")
+    above = {"color": _rgb(INK), "va": "center", "parse_math": False}  # a dollar is one
+    figure.text(LEFT / WIDTH, 1 - 0.2 / total, title, fontsize=11, fontweight="bold", **above)
+    figure.text(LEFT / WIDTH, 1 - 0.42 / total, scores, fontsize=8.5, **above)
     return figure, axes
 
 
@@ -117,7 +135,7 @@ def contact_sheet(plans: Sequence[FloorPlan], captions: Sequence[str], places: S
         west, south, *_ = plan.bounds
         axes.plot([west, west + SCALE], [south - 4, south - 4], color=_rgb(INK), linewidth=1.2)
         axes.annotate(f" {SCALE:g} m", (west + SCALE, south - 4), fontsize=5, color=_rgb(INK), va="center")
-        axes.set_title(caption, fontsize=6, color=_rgb(INK))
+        axes.set_title(caption, fontsize=6, color=_rgb(INK), parse_math=False)
     return figure
 
 

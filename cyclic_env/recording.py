@@ -6,7 +6,6 @@ measured in every step; ``docs/recording.md`` has its layout. Nothing in it is p
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import importlib.metadata
 import json
@@ -28,9 +27,11 @@ from cyclic_env.env import CyclicLoopEnv
 from cyclic_env.errors import ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError, shown
 from cyclic_env.evaluation import check_writable
 from cyclic_env.floor_plans import FloorPlan, floor_plan_from_text, floor_plan_to_text, load_floor_plan, map_names
+from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX
 from cyclic_env.interface import checked_seed
 from cyclic_env.loop_closure import CLAIM
 from cyclic_env.trajectories import dead_reckon
+from cyclic_env.whole_file import whole_file
 
 LAYOUT = 1
 """Version of the file's layout; files of others are refused."""
@@ -40,6 +41,9 @@ PACKAGES = ("numpy", "numba", "pymunk", "gymnasium", "shapely")
 
 SETTINGS = ("action_type", "random_start", "terminate_on_collision", "step_budget")
 SETTING_GROUPS = ("robot", "laser", "noise", "closure", "coverage", "reward")
+
+MEASURED = ("poses", "distance", "compass", "dead_reckoned")
+"""Arrays of lengths and angles, which are finite."""
 
 TRACK = "track_"
 """Begins the names of the arrays that hold an agent's tracks."""
@@ -145,7 +149,7 @@ class Recording:
             env = CyclicLoopEnv(self.plans, render_mode=render_mode, **self.settings)
             env.np_random = np.random.default_rng()
             env.np_random.bit_generator.state = self.generator
-        except (CyclicLoopError, TypeError, ValueError, KeyError) as error:
+        except (CyclicLoopError, TypeError, ValueError, KeyError, OverflowError) as error:
             raise RecordingError(f"its environment can't be made anew: {error}") from error
         return env
 
@@ -356,16 +360,11 @@ def write_recording(recording: Recording, path: str | Path) -> None:
     }
     arrays = {name: getattr(recording, name) for name in _ARRAYS if getattr(recording, name) is not None}
     arrays |= {TRACK + name: track for name, track in recording.tracks.items()}
-    part = path.with_name(f".{path.name}.part")
     try:
-        with part.open("wb") as file:
+        with whole_file(path) as part, part.open("wb") as file:
             np.savez_compressed(file, header=np.frombuffer(json.dumps(header).encode(), np.uint8), **arrays)
-        part.replace(path)
     except OSError as error:
         raise RecordingError(f"{path}: can't be written: {error.strerror or error}.") from error
-    finally:
-        with contextlib.suppress(OSError):
-            part.unlink(missing_ok=True)
 
 
 _ARRAYS: dict[str, tuple[str, int, tuple[int, ...]]] = {
@@ -394,6 +393,8 @@ def read_recording(path: str | Path) -> Recording:
     try:
         if not path.exists():
             raise RecordingError("there is no such file.")
+        if not path.is_file():
+            raise RecordingError("is no NPZ file, but a folder or a device.")
         if not zipfile.is_zipfile(path):
             raise RecordingError("is no NPZ file, or one that was cut off.")
         with np.load(path, allow_pickle=False) as file:
@@ -433,6 +434,9 @@ def _checked_header(header: Any) -> dict[str, Any]:
     for name in (*SETTINGS, *SETTING_GROUPS):
         if name not in header["settings"]:
             raise RecordingError(f"is damaged: its settings have no {name}.")
+    for name in INFO.names or ():
+        if name not in header["info"]:
+            raise RecordingError(f"is damaged: its info has no {name}.")
     plans = tuple(floor_plan_from_text(entry["yaml"]) for entry in header["maps"])
     shipped = tuple(bool(entry["shipped"]) for entry in header["maps"])
     return {"plans": plans, "shipped": shipped} | {name: header[name] for name in _HEADER}
@@ -454,6 +458,10 @@ def _checked_arrays(file: np.lib.npyio.NpzFile, header: dict[str, Any]) -> dict[
         expected = (rows, *columns.get(name, shape))
         if array.dtype != types.get(name, kind) or array.shape != expected:
             raise RecordingError(f"is damaged: {name} is {array.dtype} of shape {array.shape}; expected {expected}.")
+        if name in MEASURED and not (np.abs(array) <= COORDINATE_MAX).all():
+            raise RecordingError(
+                f"is damaged: {name} has numbers that are not from {-COORDINATE_MAX:g} to {COORDINATE_MAX:g}."
+            )
     arrays["tracks"] = {
         name.removeprefix(TRACK): _checked_track(name, file[name]) for name in file.files if name.startswith(TRACK)
     }
@@ -551,7 +559,7 @@ def replay(
             last = step == recording.steps
             differing = {
                 "pose": pose.tobytes() != recording.poses[step].tobytes(),
-                "observation": observation_digest(observation) != int(recording.digests[step]),
+                "observation": _observes_otherwise(observation, recording, step),
                 "reward": step > 0 and reward != recording.rewards[step - 1],
                 "end": not _ends_alike(terminated, truncated, recording, last),
                 "list of claims": last and env.claims().tobytes() != recording.claims.tobytes(),
@@ -577,6 +585,14 @@ def replay(
         episode_return=total,
         info=info,
         notes=_notes(recording),
+    )
+
+
+def _observes_otherwise(observation: Mapping[str, np.ndarray], recording: Recording, step: int) -> bool:
+    """Tell whether an observation differs from the digest, or from what was kept of the recorded one."""
+    kept = {name: getattr(recording, name) for name in ("distance", "compass", "laser")}
+    return observation_digest(observation) != int(recording.digests[step]) or any(
+        observation[name].tobytes() != array[step].tobytes() for name, array in kept.items() if array is not None
     )
 
 

@@ -23,8 +23,8 @@ import numpy as np
 
 from cyclic_env import CyclicLoopError
 from cyclic_env.colours import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
-from cyclic_env.errors import ConfigError
-from cyclic_env.evaluation import check_writable
+from cyclic_env.errors import ConfigError, shown
+from cyclic_env.evaluation import check_outputs
 from cyclic_env.floor_plans import (
     FloorPlan,
     OccupancyGrid,
@@ -37,7 +37,8 @@ from cyclic_env.floor_plans import (
     write_occupancy_grid,
 )
 from cyclic_env.floor_plans.occupancy import FREE, IMAGE_SUFFIXES, UNKNOWN
-from cyclic_env.floor_plans.yaml_files import read_yaml
+from cyclic_env.floor_plans.yaml_files import name_of, read_yaml
+from cyclic_env.whole_file import whole_file
 
 EXAMPLES = """examples:
   python scripts/import_map.py willow.yaml --out my_plan.yaml --figure my_plan.png
@@ -92,15 +93,22 @@ def run(args: argparse.Namespace) -> list[Path]:
         If the input can't be read, or the options don't suit it.
     """
     if args.figure:
-        import cyclic_env.plotting  # noqa: F401 (before the work: it says what to do where matplotlib is missing)
-    for path in filter(None, (args.out, args.figure)):
-        check_writable(path)
+        from cyclic_env.plotting import check_figure  # before the work: it says what to do without matplotlib
+
+        check_figure(args.figure)
+    inputs = [Path(args.input)]
+    check_outputs(filter(None, (args.out, args.figure)), inputs)
     options = {name: value for name in SIZES if (value := getattr(args, name)) is not None}
     grid: OccupancyGrid | None = None
     if is_map(args.input):
         began = time.perf_counter()
         picture = Path(args.input).suffix.lower() in IMAGE_SUFFIXES
+        if args.resolution is not None and not (picture or args.export):
+            raise ConfigError(
+                f"{args.input} says itself how large a pixel is; --resolution is for a picture or --export."
+            )
         grid = read_occupancy_grid(args.input, args.resolution if picture else None)
+        inputs += [] if picture else [inputs[0].parent / read_yaml(inputs[0])["image"]]
         seen = time.perf_counter()
         try:
             tracing = trace_floor_plan(grid, start=tuple(args.start) if args.start else None, **options)
@@ -108,7 +116,8 @@ def run(args: argparse.Namespace) -> list[Path]:
             raise ConfigError(f"{args.input}: {error}") from error
         plan = tracing.plan
         if not plan.source:
-            plan = replace(plan, source=f"traced from {Path(args.input).name} by scripts/import_map.py")
+            name = name_of(inputs[0]) + inputs[0].suffix
+            plan = replace(plan, source=f"traced from {name} by scripts/import_map.py")
         print(table(plan, grid, tracing, seen - began, time.perf_counter() - seen))
     else:
         if not args.export or args.start or options:
@@ -116,18 +125,31 @@ def run(args: argparse.Namespace) -> list[Path]:
         plan = load_floor_plan(args.input)
         print(table(plan))
     written = []
+    exports: list[Path] = []
+    exported: OccupancyGrid | None = None
+    if args.export:
+        if Path(plan.name).name != plan.name or not plan.name.isprintable():
+            raise ConfigError(
+                f"--export: the plan's name {shown(plan.name)} is no name of a file; change it in {args.input}."
+            )
+        exports = [args.export / f"{plan.name}{suffix}" for suffix in (".yaml", ".pgm")]
+        check_outputs(filter(None, (args.out, args.figure, *exports)), inputs)
+        resolution = args.resolution if args.resolution is not None else grid.resolution if grid else EXPORT_RESOLUTION
+        exported = rasterise(plan, resolution)
+        share = exported.free.sum() * resolution**2 / plan.free_area
+        print(
+            f"{'export':>10}  {exported.cells.shape[1]:,} x {exported.cells.shape[0]:,} pixels of {resolution:g} m, "
+            f"free {share:.1%} of the area"
+        )
     if args.out:
         write_floor_plan(plan, args.out)
         written.append(args.out)
     if args.figure:
         draw(plan, grid, args.figure)
         written.append(args.figure)
-    if args.export:
-        path = args.export / f"{plan.name}.yaml"
-        check_writable(path)
-        resolution = args.resolution if args.resolution is not None else grid.resolution if grid else EXPORT_RESOLUTION
-        write_occupancy_grid(rasterise(plan, resolution), path)
-        written += [path, path.with_suffix(".pgm")]
+    if exported is not None:
+        write_occupancy_grid(exported, exports[0])
+        written += exports
     return written
 
 
@@ -205,9 +227,11 @@ def draw(plan: FloorPlan, grid: OccupancyGrid | None, path: Path) -> None:
         image = before.imshow(picture, origin="lower", extent=extent, transform=to_world + before.transData)
         image.set_clip_path(before.patch)
         before.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())
-    figure.savefig(path, dpi=FIGURE_DPI)
+    with whole_file(path) as part:
+        figure.savefig(part, dpi=FIGURE_DPI)
 
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
     sys.exit(main())

@@ -26,7 +26,7 @@ from scipy import ndimage
 from shapely import Polygon
 
 from cyclic_env import CyclicLoopError
-from cyclic_env.evaluation import ProgressLine, check_writable
+from cyclic_env.evaluation import ProgressLine, check_outputs
 from cyclic_env.floor_plans import FloorPlan, OccupancyGrid, polygon_from_corridors, rasterise, write_occupancy_grid
 from cyclic_env.floor_plans.occupancy import FREE, OCCUPIED, UNKNOWN
 
@@ -75,9 +75,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, default=Path("out/ros_maps"), help="folder (default out/ros_maps)")
     args = parser.parse_args(arguments)
     try:
+        check_outputs(args.out / f"{name}{suffix}" for name in MAPS for suffix in (".yaml", ".pgm"))
         for name, draw in MAPS.items():
             path = args.out / f"{name}.yaml"
-            check_writable(path)
             grid = draw()
             write_occupancy_grid(grid, path)
             rows, columns = grid.cells.shape
@@ -275,4 +275,5 @@ def _add_scan(
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
     sys.exit(main())

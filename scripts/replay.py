@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, RecordingError, read_recording, replay
-from cyclic_env.evaluation import ProgressLine, check_writable
+from cyclic_env.evaluation import ProgressLine, check_outputs
 from cyclic_env.recording import Recording, Replay
 from cyclic_env.trajectories import ate
 
@@ -38,7 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         if args.gif is not None:
             import cyclic_env.film  # noqa: F401 (before the replay: it says what to do where something is missing)
 
-            check_writable(args.gif)
+            check_outputs([args.gif], [args.file])
 
         def on_step(env: CyclicLoopEnv, step: int) -> None:
             nonlocal film
@@ -92,4 +92,5 @@ def report(recording: Recording, outcome: Replay) -> str:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
     sys.exit(main())

@@ -25,9 +25,10 @@ from agents.knn.config import DETECTORS, PRESETS, preset
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.knn.similarity import MEASURES
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, map_names
-from cyclic_env.evaluation import ProgressLine, check_writable
+from cyclic_env.evaluation import ProgressLine, check_outputs
 from cyclic_env.recording import write_recording
 from cyclic_env.trajectories import ate, write_g2o, write_tum
+from cyclic_env.whole_file import whole_file
 
 if TYPE_CHECKING:
     from cyclic_env.film import Film
@@ -66,8 +67,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         render_mode = "human" if args.human else None
         env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start, render_mode=render_mode)
         exports = [] if args.export is None else [args.export / name for name in EXPORTS]
-        for path in filter(None, (picture, animation, metrics_file, *exports)):
-            check_writable(path)
+        check_outputs(filter(None, (picture, animation, metrics_file, *exports)))
         run = Run(Recorder(env), Film(env) if animation else None)
         run.drive(explorer, args.seed)
         if not run.steps:
@@ -77,7 +77,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
         metrics = run.metrics() | settings
         print(score_table(metrics))
-        metrics_file.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+        with whole_file(metrics_file) as part:
+            part.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
         if args.export is not None:
             export(run, args.export)
         draw_run(run, metrics, picture)
@@ -297,9 +298,11 @@ def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
     draw_open_areas(axes, positions, [area.number for area in areas], [area.state for area in areas])
     draw_claims(axes, way, run.env.claims())
     add_legend(axes)
-    figure.savefig(path, dpi=FIGURE_DPI)
+    with whole_file(path) as part:
+        figure.savefig(part, dpi=FIGURE_DPI)
 
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
     sys.exit(main())

@@ -15,7 +15,7 @@ if __name__ == "__main__":  # Ctrl-C while the packages load
 import argparse
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -23,8 +23,9 @@ import numpy as np
 from cyclic_env import CyclicLoopError, FloorPlan, map_names
 from cyclic_env.aliasing import look_alikes
 from cyclic_env.compiled import compile_notice
-from cyclic_env.evaluation import ProgressLine, check_writable
+from cyclic_env.evaluation import ProgressLine, check_outputs
 from cyclic_env.floor_plans import load_floor_plans
+from cyclic_env.whole_file import whole_file
 
 FIGURE_DPI = 150
 EXAMPLES = """examples:
@@ -65,14 +66,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     code = 0
     try:
         if args.out:
-            import cyclic_env.plotting  # noqa: F401 (before the work: it says what to do where matplotlib is missing)
-        for path in filter(None, (args.out, args.json)):
-            check_writable(path)
+            from cyclic_env.plotting import check_figure  # before the work: it says what to do without matplotlib
+
+            check_figure(args.out)
+        check_outputs(filter(None, (args.out, args.json)), map(Path, args.names))
         plans.extend(load_floor_plans(args.names))
         progress = ProgressLine()
         for plan in plans:
-            progress.show(f"{plan.name}: {len(rows)} of {len(plans)} plans measured")
-            row, places = measured(plan)
+            done = f"{len(rows)} of {len(plans)} plans measured"
+            progress.show(f"{plan.name}: {done}")
+
+            def compared(count: int, total: int, text: str = f"places of {plan.name}, {done}") -> None:
+                progress.show(f"{count:,} of {total:,} {text}")
+
+            row, places = measured(plan, compared)
             rows.append(row)
             marked.append(places)
         progress.clear()
@@ -87,21 +94,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(table(rows))
     try:
         if args.json:
-            args.json.write_text(json.dumps([row._asdict() for row in rows], indent=1) + "\n", encoding="utf-8")
+            with whole_file(args.json) as part:
+                part.write_text(json.dumps([row._asdict() for row in rows], indent=1) + "\n", encoding="utf-8")
         if args.out:
             from cyclic_env.plotting import contact_sheet
 
-            contact_sheet(plans[: len(rows)], [caption(row) for row in rows], marked).savefig(args.out, dpi=FIGURE_DPI)
-    except (ValueError, OSError) as error:  # a name that ends like no picture's
+            figure = contact_sheet(plans[: len(rows)], [caption(row) for row in rows], marked)
+            with whole_file(args.out) as part:
+                figure.savefig(part, dpi=FIGURE_DPI)
+    except OSError as error:
         print(f"show_plans.py: can't write the files: {error}", file=sys.stderr)
         return 2
+    except KeyboardInterrupt:
+        print("\nshow_plans.py: stopped; not all files were written.", file=sys.stderr)
+        return 130
     return code
 
 
-def measured(plan: FloorPlan) -> tuple[Row, np.ndarray]:
+def measured(plan: FloorPlan, progress: Callable[[int, int], None] | None = None) -> tuple[Row, np.ndarray]:
     """Return the measures of a plan, and its places that have a look-alike, `(n, 2)`."""
     with compile_notice():
-        looks = look_alikes(plan)
+        looks = look_alikes(plan, progress=progress)
     tour = plan.closed_tour()
     row = Row(
         plan=plan.name,
@@ -135,4 +148,5 @@ def caption(row: Row) -> str:
 
 if __name__ == "__main__":
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
     sys.exit(main())

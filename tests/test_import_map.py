@@ -102,6 +102,18 @@ def test_without_an_output_nothing_is_written(ros_map: Path, capsys: pytest.Capt
         (["MAP", "--robot-radius", "9"], "MAP: the robot fits nowhere"),
         (["MAP", "--out", "MAP/plan.yaml"], "can't write to"),
         (["ring", "--export", "x", "--resolution", "0"], "resolution: expected metres a pixel"),
+        (["ring", "--export", "x", "--resolution", "1e-300"], "resolution: expected metres a pixel"),
+        (["ring", "--export", "x", "--resolution", "50"], "at 50 m a pixel 'ring' has no free cell"),
+        (["MAP", "--resolution", "0.1"], "MAP says itself how large a pixel is"),
+        (["MAP", "--robot-radius", "1e300"], "MAP: the robot fits nowhere"),
+        (["MAP", "--start", "nan", "0", "0"], "MAP: start: expected x, y and heading from -100000 to 100000"),
+        (["MAP", "--start", "2", "2", "1e9"], "MAP: start: expected x, y and heading from -100000 to 100000"),
+        (["MAP", "--figure", "plan.xyz"], "plan.xyz: a figure's name ends with one of: .avif"),
+        (["MAP", "--figure", "plan"], "plan: a figure's name ends with one of: .avif"),
+        (["MAP", "--figure", "a.png", "--out", "a.png"], "a.png would be written twice"),
+        (["MAP", "--out", "MAP"], "MAP would be written over, but it is read"),
+        (["MAP", "--export", "."], "hall.yaml would be written over, but it is read"),
+        (["odd_name.yaml", "--export", "x"], "the plan's name '../hall' is no name of a file"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -113,11 +125,14 @@ def test_bad_input_is_one_line(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    (tmp_path / "odd_name.yaml").write_text(ros_map.read_text() + "\nname: ../hall\n")
+    before = ros_map.read_bytes()
     assert import_map.main([argument.replace("MAP", str(ros_map)) for argument in arguments]) == 2
     said = capsys.readouterr().err
     assert said.startswith("import_map.py: ")
     assert message.replace("MAP", str(ros_map)) in said
     assert said.count("\n") == 1
+    assert ros_map.read_bytes() == before
 
 
 def test_ctrl_c_is_one_line(ros_map: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:

@@ -442,6 +442,8 @@ MISTAKES: dict[str, tuple[dict[str, Any], str]] = {
     "negative resolution": ({"resolution": -0.05}, "resolution: expected metres a pixel, more than 0"),
     "resolution that is not a number": ({"resolution": math.nan}, "resolution: expected a number"),
     "resolution in words": ({"resolution": "5 cm"}, "resolution: expected a number.*'5 cm'"),
+    "resolution near 0": ({"resolution": 1e-300}, "resolution: expected metres a pixel"),
+    "image with a line feed": ({"image": "map.pgm\n"}, r"image: expected the path of a picture, got 'map.pgm\\n'"),
     "tiny resolution": ({"resolution": 1e-6}, "fits nowhere.*resolution"),
     "origin without yaw": ({"origin": [0, 0]}, r"origin: expected \[x, y, yaw\], got \[0, 0\]"),
     "origin in words": ({"origin": "here"}, "origin: expected a list, got str"),
@@ -523,3 +525,29 @@ def test_sizes_are_finite_and_not_negative(option: str, value: float) -> None:
 def test_a_plan_is_not_drawn_with_cells_of_no_size(resolution: float, square_room: FloorPlan) -> None:
     with pytest.raises(FloorPlanError, match=r"resolution: expected|million"):
         rasterise(square_room, resolution)
+
+
+def test_a_picture_of_32_bits_is_refused(tmp_path: Path) -> None:
+    from PIL import Image
+
+    for name, pixels in (("real", np.full((9, 9), 1e6, np.float32)), ("whole", np.full((9, 9), 70_000, np.int32))):
+        Image.fromarray(pixels).save(tmp_path / f"{name}.tif")
+        with pytest.raises(FloorPlanError, match=rf"{name}.tif: its pixels have 32 bits; save it with 8 or 16"):
+            read_occupancy_grid(tmp_path / f"{name}.tif", 0.1)
+
+
+def test_a_map_that_breaks_off_in_writing_leaves_the_one_that_was(
+    tmp_path: Path, square_room: FloorPlan, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    grid = rasterise(square_room, 0.1)
+    write_occupancy_grid(grid, tmp_path / "map.yaml")
+    before = {path: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def stopped(self: Path, text: str, **options: object) -> None:
+        self.write_bytes(b"half of it")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Path, "write_text", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        write_occupancy_grid(grid, tmp_path / "map.yaml")
+    assert {path: path.read_bytes() for path in tmp_path.iterdir()} == before

@@ -331,6 +331,7 @@ def bad_files(file: Path, folder: Path) -> dict[str, tuple[Path, str]]:
     header = json.loads(np.load(file)["header"].tobytes())
     settings = {name: header["settings"] | {name: value} for name, value in (("robot", {"leg": 2}), ("laser", {}))}
     maps = [header["maps"][0] | {"yaml": "start: {x: 1"}]
+    generator = read_recording(file).generator
     changes: dict[str, tuple[dict[str, Any], dict[str, np.ndarray | None], str]] = {
         "layout": ({"layout": 7}, {}, "is of layout 7; this version of cyclic_env reads layout 1"),
         "seedless": ({"seed": "3"}, {}, "its header has no seed"),
@@ -338,6 +339,9 @@ def bad_files(file: Path, folder: Path) -> dict[str, tuple[Path, str]]:
         "setting": ({"settings": settings["robot"]}, {}, "unknown field of RobotConfig 'leg'"),
         "laser": ({"settings": settings["laser"]}, {}, "is damaged"),
         "generator": ({"generator": {"bit_generator": "MT19937"}}, {}, "can't be made anew"),
+        "uint": ({"generator": {**generator, "uinteger": -1}}, {}, "can't be made anew"),
+        "info": ({"info": {}}, {}, "its info has no "),
+        "poses": ({}, {"poses": np.full((STEPS + 1, 3), np.nan)}, "poses has numbers that are not from"),
         "rewards": ({}, {"rewards": None}, "it has no array rewards"),
         "short": ({}, {"rewards": np.zeros(3)}, "rewards is float64 of shape (3,)"),
         "type": ({}, {"digests": np.zeros(STEPS + 1)}, "digests is float64"),
@@ -348,6 +352,7 @@ def bad_files(file: Path, folder: Path) -> dict[str, tuple[Path, str]]:
     return {
         "missing": (folder / "nowhere.npz", "there is no such file"),
         "folder": (folder, "is no NPZ file"),
+        "device": (Path("/dev/zero"), "is no NPZ file, but a folder or a device"),
         **{name: (folder / name, "is no NPZ file, or one that was cut off") for name in ("empty", "text", "cut")},
         "flipped": (folder / "flipped", "is damaged"),
         "array": (folder / "array.npy", "is no NPZ file"),
@@ -399,3 +404,17 @@ def test_ctrl_c_in_a_replay_leaves_one_line(
     monkeypatch.setattr(CyclicLoopEnv, "step", interrupted)
     assert main([str(file)]) == 130
     assert capsys.readouterr().err.strip().count("\n") == 0
+
+
+def test_an_observation_that_was_changed_in_the_file_is_a_difference(file: Path, tmp_path: Path) -> None:
+    distance = read_recording(file).distance.copy()
+    distance[3] += 0.5
+    outcome = replay(changed(file, tmp_path / "run.npz", distance=distance))
+    assert (outcome.first_difference, outcome.what) == (3, "observation")
+
+
+def test_a_replay_does_not_write_over_its_recording(file: Path, tmp_path: Path) -> None:
+    path = changed(file, tmp_path / "run.npz")
+    before = path.read_bytes()
+    assert main([str(path), "--gif", str(path)]) == 2
+    assert path.read_bytes() == before

@@ -204,12 +204,14 @@ def test_ctrl_c_before_the_first_step_leaves_one_line(
         (["--noise", "tipical"], "Did you mean 'typical'?"),
         (["--seed", "-1"], "seed is -1"),
         (["--json", "tests"], "can't write to tests"),
+        (["--json", "OUT/run.png"], "run.png would be written twice"),
         (["--export", "README.md"], "can't write to README.md"),
     ],
 )
 def test_bad_input_gets_one_line(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    arguments = [argument.replace("OUT", str(tmp_path)) for argument in arguments]
     assert run_knn.main([*arguments, "--out", str(tmp_path)]) == 2
     said = capsys.readouterr().err
     assert message in said

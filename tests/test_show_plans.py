@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from conftest import load_script
 
@@ -53,17 +54,34 @@ def test_bad_input_gets_one_line(arguments: list[str], message: str, capsys: pyt
 def test_a_figure_of_no_known_kind_gets_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert show_plans.main(["ring", "--out", str(tmp_path / "plans.xyz")]) == 2
     said = capsys.readouterr()
-    assert "ring" in said.out
-    assert said.err.startswith("show_plans.py: can't write the files: ")
+    assert said.out == ""  # before the work
+    assert "plans.xyz: a figure's name ends with one of: ." in said.err
+    assert said.err.count("\n") == 1
+
+
+def test_a_building_too_large_to_be_searched_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    file = tmp_path / "field.yaml"
+    file.write_text("start: {x: 2, y: 2}\nexterior: [[0, 0], [9000, 0], [9000, 9000], [0, 9000]]\n")
+    assert show_plans.main([str(file)]) == 2
+    assert "too large to be searched for look-alikes" in capsys.readouterr().err
+
+
+def test_dollars_in_a_title_are_no_formula(tmp_path: Path) -> None:
+    from cyclic_env.plotting import contact_sheet, plan_figure
+
+    plan = load_floor_plan("ring")
+    figure, _ = plan_figure(plan, r"for $\frac$")
+    figure.savefig(tmp_path / "plan.png")
+    contact_sheet([plan], [r"$\frac$"], [np.zeros((0, 2))]).savefig(tmp_path / "sheet.png")
 
 
 def test_ctrl_c_keeps_what_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     measured = show_plans.measured
 
-    def interrupted(plan: Any) -> Any:
+    def interrupted(plan: Any, progress: Any) -> Any:
         if plan.name == "grid":
             raise KeyboardInterrupt
-        return measured(plan)
+        return measured(plan, progress)
 
     monkeypatch.setattr(show_plans, "measured", interrupted)
     assert show_plans.main(["ring", "grid", "office"]) == 130

@@ -15,7 +15,16 @@ from cyclic_env.errors import FloorPlanError, shown, unknown_name
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
 from cyclic_env.floor_plans.occupancy import IMAGE_SUFFIXES, occupancy_grid_from_mapping
 from cyclic_env.floor_plans.tracing import trace_floor_plan
-from cyclic_env.floor_plans.yaml_files import as_list, as_number, as_start, as_text, parse_yaml, read_yaml
+from cyclic_env.floor_plans.yaml_files import (
+    as_list,
+    as_number,
+    as_start,
+    as_text,
+    name_of,
+    parse_yaml,
+    read_yaml,
+)
+from cyclic_env.whole_file import whole_file
 
 KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "corridors", "rooms", "centrelines")
 
@@ -41,7 +50,7 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
         if isinstance(data, Mapping) and "image" in data:
             plan = trace_floor_plan(occupancy_grid_from_mapping(data, path)).plan
         else:
-            plan = floor_plan_from_mapping(data, default_name=path.stem)
+            plan = floor_plan_from_mapping(data, default_name=name_of(path))
         return replace(plan, file=str(path))
     except FloorPlanError as error:
         raise FloorPlanError(f"{path}: {error}") from error
@@ -77,7 +86,8 @@ def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
         raise FloorPlanError(f"{path}: what is to be written must be a FloorPlan; got {type(plan).__name__}.")
     text = floor_plan_to_text(plan, digits=6)
     try:
-        path.write_text(text, encoding="utf-8")
+        with whole_file(path) as part:
+            part.write_text(text, encoding="utf-8")
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
 

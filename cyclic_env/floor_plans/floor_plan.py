@@ -92,8 +92,11 @@ class FloorPlan:
             x, y, heading = (float(value) for value in self.start)
         except (TypeError, ValueError, OverflowError):
             x = y = heading = math.nan
-        if not all(map(math.isfinite, (x, y, heading))):
-            raise FloorPlanError(f"{self._label}: start must be finite (x, y, heading), got {shown(self.start)}.")
+        if not all(abs(value) <= COORDINATE_MAX for value in (x, y, heading)):  # nor NaN
+            raise FloorPlanError(
+                f"{self._label}: start must be finite (x, y, heading), from {-COORDINATE_MAX:g} to "
+                f"{COORDINATE_MAX:g}, got {shown(self.start)}."
+            )
         object.__setattr__(self, "start", (x, y, heading))
         self._check_inside(x, y)
 

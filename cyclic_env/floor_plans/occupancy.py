@@ -15,8 +15,9 @@ import yaml
 from scipy import ndimage
 
 from cyclic_env.errors import FloorPlanError, shown, unknown_name
-from cyclic_env.floor_plans.floor_plan import FloorPlan, Pose
-from cyclic_env.floor_plans.yaml_files import as_list, as_number, as_start, as_text, read_yaml
+from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, Pose
+from cyclic_env.floor_plans.yaml_files import as_list, as_number, as_start, as_text, name_of, read_yaml
+from cyclic_env.whole_file import whole_file
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -35,6 +36,9 @@ OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
 
 SHADES = {OCCUPIED: 0, UNKNOWN: 205, FREE: 254}
 """What ``map_saver`` paints cells with."""
+
+RESOLUTION_MIN = 1e-6
+"""Metres a pixel, at least: floor plans are written to the micrometre."""
 
 CELLS_MAX = 64_000_000
 """Most pixels of an image, such as 8,000 x 8,000: some 2 GB while they are traced."""
@@ -61,7 +65,7 @@ class OccupancyGrid:
     Raises
     ------
     FloorPlanError
-        If the cells are none or too many, or the resolution is not above 0.
+        If the cells are none or too many, or the resolution is out of range.
     """
 
     cells: np.ndarray
@@ -77,8 +81,7 @@ class OccupancyGrid:
         if self.cells.ndim != 2:
             raise FloorPlanError(f"an occupancy grid has rows and columns, got an array of shape {self.cells.shape}.")
         _check_size(*self.cells.shape)
-        if not self.resolution > 0 or not math.isfinite(self.resolution):
-            raise FloorPlanError(f"resolution: expected metres a pixel, more than 0, got {shown(self.resolution)}.")
+        _check_resolution(self.resolution)
 
     @property
     def free(self) -> np.ndarray:
@@ -160,11 +163,10 @@ def occupancy_grid_from_mapping(data: Any, path: str | Path, *, on_white: bool =
         if key not in data:
             raise FloorPlanError(f"{key}: is missing; a map has the keys image, resolution and origin.")
     image = data["image"]
-    if not isinstance(image, str) or not image:
+    if not isinstance(image, str) or image.splitlines() != [image]:
         raise FloorPlanError(f"image: expected the path of a picture, got {shown(image)}.")
     resolution = as_number(data["resolution"], "resolution")
-    if resolution <= 0:
-        raise FloorPlanError(f"resolution: expected metres a pixel, more than 0, got {resolution:g}.")
+    _check_resolution(resolution)
     origin = as_list(data["origin"], "origin")
     if len(origin) != 3:
         raise FloorPlanError(f"origin: expected [x, y, yaw], got {shown(origin)}.")
@@ -188,12 +190,20 @@ def occupancy_grid_from_mapping(data: Any, path: str | Path, *, on_white: bool =
         cells=cells[::-1],
         resolution=resolution,
         origin=(x, y, yaw),
-        name=as_text(data, "name") or Path(path).stem,
+        name=as_text(data, "name") or name_of(Path(path)),
         title=as_text(data, "title"),
         source=as_text(data, "source"),
         licence=as_text(data, "licence"),
         start=as_start(data["start"]) if "start" in data else None,
     )
+
+
+def _check_resolution(resolution: float) -> None:
+    if not RESOLUTION_MIN <= resolution <= COORDINATE_MAX:
+        raise FloorPlanError(
+            f"resolution: expected metres a pixel, more than 0, got {shown(resolution)}; "
+            f"possible are {RESOLUTION_MIN:g} to {COORDINATE_MAX:g}."
+        )
 
 
 def _check_size(height: int, width: int) -> None:
@@ -221,6 +231,10 @@ def _decoded(path: Path) -> Image:
         with picture:
             _check_size(picture.height, picture.width)
             picture.load()
+        if picture.mode == "F" or (
+            picture.mode == "I" and not 0 <= np.asarray(picture).min() <= np.asarray(picture).max() < 2**16
+        ):
+            raise FloorPlanError("its pixels have 32 bits; save it with 8 or 16.")
         return picture
     except FloorPlanError as error:
         raise FloorPlanError(f"image: {path}: {error}") from error
@@ -296,16 +310,19 @@ def rasterise(plan: FloorPlan, resolution: float) -> OccupancyGrid:
     Raises
     ------
     FloorPlanError
-        If the resolution is not above 0, or makes too many cells.
+        If the resolution is out of range, or makes too many cells or no free one.
     """
-    if not resolution > 0 or not math.isfinite(resolution):
-        raise FloorPlanError(f"resolution: expected metres a pixel, more than 0, got {shown(resolution)}.")
+    _check_resolution(resolution)
     west, south, east, north = plan.bounds
     x, y = (resolution * (math.floor(low / resolution) - 2) for low in (west, south))
     columns, rows = (math.ceil((high - low) / resolution) + 2 for low, high in ((x, east), (y, north)))
     _check_size(rows, columns)
     free = _inside(plan.walls - (x, y, x, y), resolution, (rows, columns))
     free[_thin_walls(plan, resolution, (x, y))] = False
+    if not free.any():
+        raise FloorPlanError(
+            f"resolution: at {resolution:g} m a pixel {plan.name!r} has no free cell; give a smaller one."
+        )
     cells = np.full(free.shape, UNKNOWN, np.int8)
     cells[ndimage.binary_dilation(free, np.ones((3, 3), dtype=int))] = OCCUPIED
     cells[free] = FREE
@@ -370,7 +387,9 @@ def write_occupancy_grid(grid: OccupancyGrid, path: str | Path) -> None:
     if grid.start is not None:
         data["start"] = dict(zip(("x", "y", "heading"), map(float, grid.start), strict=True))
     try:
-        Image.fromarray(np.ascontiguousarray(shades[::-1])).save(image)
-        path.write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+        with whole_file(image) as part:
+            Image.fromarray(np.ascontiguousarray(shades[::-1])).save(part, "PPM")
+        with whole_file(path) as part:
+            part.write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error

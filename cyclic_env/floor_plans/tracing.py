@@ -22,7 +22,7 @@ from shapely.geometry import Point, Polygon
 
 from cyclic_env.compiled import compile_notice, compiled
 from cyclic_env.errors import FloorPlanError, shown
-from cyclic_env.floor_plans.floor_plan import FloorPlan, Pose
+from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, Pose
 from cyclic_env.floor_plans.occupancy import OccupancyGrid
 
 ENCLOSED_SHARE = 0.1
@@ -41,6 +41,8 @@ LONE_SHARE = 0.25
 
 HEADINGS = 72
 """Among which the start's is chosen."""
+
+FITS_NOWHERE = "the robot fits nowhere in the map's free space; is the resolution right?"
 
 CONNECTED_8 = np.ones((3, 3), dtype=int)
 
@@ -108,13 +110,19 @@ def trace_floor_plan(
     for name, value in (sizes | {"tolerance": tolerance}).items():
         if not 0 <= value < math.inf or (name == "robot_radius" and value == 0):
             raise FloorPlanError(f"{name}: expected metres, finite and not below 0, got {shown(value)}.")
+    start = grid.start if start is None else start
+    if start is not None and not all(abs(value) <= COORDINATE_MAX for value in start):  # nor NaN
+        raise FloorPlanError(
+            f"start: expected x, y and heading from {-COORDINATE_MAX:g} to {COORDINATE_MAX:g}, got {shown(start)}."
+        )
     free = grid.free
     if not free.any():
         raise FloorPlanError("the map has no free cell; are the thresholds right, and negate?")
     with compile_notice():
         _grown(np.ones((3, 3), bool), np.ones((3, 3), bool), 1.0, 1.0, 1.0)
-    start = grid.start if start is None else start
     side = grid.resolution
+    if 2 * robot_radius > side * min(free.shape):
+        raise FloorPlanError(FITS_NOWHERE)
     corner, free = _cropped(free)
     specks, speck_cells = _drop_specks(free, speck_area / side**2, robot_radius / side + CLEARANCE)
     with_pockets: Tracing | None = None
@@ -195,7 +203,7 @@ def _centres(
     labels = ndimage.label(open_space)[0]
     sizes = np.bincount(labels.ravel())[1:]
     if not len(sizes):
-        raise FloorPlanError("the robot fits nowhere in the map's free space; is the resolution right?")
+        raise FloorPlanError(FITS_NOWHERE)
     if start is None:
         rows, columns = (np.array(size) - radius - 1 for size in grid.cells.shape)
         cut = [

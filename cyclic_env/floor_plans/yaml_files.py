@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -37,6 +38,8 @@ def read_yaml(path: Path) -> Any:
         Naming the file, if it can't be read or is not YAML.
     """
     try:
+        if path.exists() and not path.is_file():
+            raise FloorPlanError("is a folder or a device; expected a YAML file.")
         return parse_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be read: {error.strerror or error}.") from error
@@ -62,6 +65,11 @@ def parse_yaml(text: str) -> Any:
         # PyYAML passes on what Python says of a bad number or date, such as 2024-13-01.
         reason = " ".join(str(error).split()).replace('in "<unicode string>", line', "at line")
         raise FloorPlanError(f"is not valid YAML: {reason}.") from error
+
+
+def name_of(path: Path) -> str:
+    """Return the name of a file without its suffix, as text that can be written and drawn whatever its bytes are."""
+    return os.fsencode(path.stem).decode(errors="replace")
 
 
 def as_list(value: Any, key: str) -> Sequence[Any]:

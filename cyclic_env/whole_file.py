@@ -1,0 +1,40 @@
+"""Writing files so that they are there whole, or as they were."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+
+@contextlib.contextmanager
+def whole_file(path: str | Path) -> Iterator[Path]:
+    """Yield a path to write to, which becomes the file `path` once that is done; else what was there stays.
+
+    It lies beside the file and has its suffix. A device or a pipe is written to as it is.
+
+    Parameters
+    ----------
+    path : str or path
+
+    Raises
+    ------
+    OSError
+        Naming `path`, if it can't be written.
+    """
+    path = Path(os.path.realpath(path))  # what a symbolic link points to is replaced, not the link
+    if path.exists() and not path.is_file():
+        yield path
+        return
+    part = path.with_name(f".{path.stem[:40]}.part{path.suffix}")
+    try:
+        yield part
+        part.replace(path)
+    except OSError as error:
+        if error.errno is None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from error
+    finally:
+        with contextlib.suppress(OSError):
+            part.unlink(missing_ok=True)
