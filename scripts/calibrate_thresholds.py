@@ -30,7 +30,7 @@ PLANS = 20
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--plans", type=int, default=PLANS, help=f"of the train split, the first ones (default {PLANS})")
+    parser.add_argument("--plans", type=int, default=PLANS, help=f"how many of the train split (default {PLANS})")
     parser.add_argument("--out", type=Path, default=THRESHOLDS, help="file to write (default the explorer's own)")
     parser.add_argument("--cache", type=Path, default=Path("out/paper/cache"), help="folder that keeps finished runs")
     parser.add_argument("--processes", type=int, default=2, help="at once (default 2)")

@@ -1,4 +1,4 @@
-"""Results kept in small files, so that a run that was interrupted goes on where it was, and work on several processes."""
+"""Results kept in small files, so that what was interrupted goes on where it was, and work on several processes."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import multiprocessing
 import os
 import signal
 import zipfile
+import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -25,7 +26,7 @@ from cyclic_env.errors import CyclicLoopError
 AGENTS = Path(__file__).resolve().parents[1]
 MEASURING = ("knn", "navigation", "paper")
 """Folders whose sources results depend on."""
-SHOWING = ("report.py", "figures.py")
+SHOWING = ("report.py", "figures.py", "reproduction.py")
 """Modules that only show results: a change of theirs leaves results as they are."""
 
 
@@ -86,7 +87,7 @@ class Cache:
             with np.load(self._run_file(settings), allow_pickle=False) as data:
                 arrays = {name: data[name] for name in ARRAYS}
                 return RunRecord(metrics=json.loads(str(data["metrics"])), **arrays)
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile):
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
             return None
 
     def save(self, settings: RunSettings, record: RunRecord) -> None:
@@ -95,7 +96,7 @@ class Cache:
 
         def write(new: Path) -> None:
             with new.open("wb") as file:
-                np.savez_compressed(file, **values)
+                np.savez_compressed(file, **values)  # pyright: ignore[reportArgumentType]
 
         _replace(self._run_file(settings), write)
 

@@ -3,8 +3,8 @@
 A **query** is a row of a run; its **candidates** are the rows driven `GAP` before it or more, as the distance meter has
 it: all of them (points), or those of another group of the same direction (the paper's indicators). The query's best
 candidate is right where a claim of it would be, wrong where such a claim would be false, and neither where it would be
-ignored; see `cyclic_env.loop_closure`. A query that returns anywhere at all, in whichever direction, is a revisit, and the
-recall is of these.
+ignored; see `cyclic_env.loop_closure`. A query that returns anywhere at all, in whichever direction, is a revisit, and
+the recall is of these.
 """
 
 from __future__ import annotations
@@ -24,7 +24,8 @@ from agents.paper.runs import ELSEWHERE, RETURNS, RunRecord
 GAP = 20.0
 """Metres driven since, as in the definition of a return."""
 VECTORS = ("7 sectors", "all beams")
-BOOTSTRAPS = 400
+CURVE_POINTS = 150
+BOOTSTRAPS = 10_000
 """Draws of runs with replacement, for an interval."""
 
 
@@ -73,7 +74,7 @@ def ask(record: RunRecord, measure: str, vectors: str, *, same_direction: bool) 
         Whether the indicators choose the candidates.
     """
     how = measure_by_name(measure)
-    rows, position = how.prepare(vectors_of(record, vectors)), record.position
+    rows = how.prepare(vectors_of(record, vectors))
     best, queries, pairs, rights = [], [], [], []
     for i in range(1, len(rows)):
         long_ago = int(np.searchsorted(record.path, record.path[i] - GAP, side="right"))
@@ -102,10 +103,18 @@ def ask(record: RunRecord, measure: str, vectors: str, *, same_direction: bool) 
     )
 
 
-def vote(record: RunRecord, measure: str, neighbours: int = 4) -> Answers:
-    """Return the explorer's own answers by the paper's rule: tables of one direction, the vote of K, its nearest row."""
+def votes(record: RunRecord, measure: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the explorer's own answers by the paper's rule: the vote of 4 among earlier tables of one direction.
+
+    Returns
+    -------
+    queries, rows : (q,) int64
+        Rows that had tables to be compared with, and the row that the vote found for each.
+    distance : (q,)
+        One less the similarity.
+    """
     places = Places(1, record.features.shape[2])
-    detector = Detector(preset("paper", measure=measure, neighbours=neighbours, sectors=record.features.shape[2]))
+    detector = Detector(preset("paper", measure=measure, sectors=record.features.shape[2]))
     queries, found, distance = [], [], []
     for i in range(len(record.step)):
         direction, group = int(record.direction[i]), int(record.group[i])
@@ -117,7 +126,12 @@ def vote(record: RunRecord, measure: str, neighbours: int = 4) -> Answers:
             queries.append(i)
             found.append(int(rows[0]))
             distance.append(1 - float(similarities[0]))
-    return _answers(record, np.array(queries, np.int64), np.array(found, np.int64), np.array(distance))
+    return np.array(queries, np.int64), np.array(found, np.int64), np.array(distance)
+
+
+def vote(record: RunRecord, measure: str) -> Answers:
+    """Return the explorer's own answers by the paper's rule, against the truth."""
+    return _answers(record, *votes(record, measure))
 
 
 def _answers(record: RunRecord, queries: np.ndarray, found: np.ndarray, distance: np.ndarray) -> Answers:
@@ -133,8 +147,9 @@ def _answers(record: RunRecord, queries: np.ndarray, found: np.ndarray, distance
 
 def pooled_answers(several: Sequence[Answers]) -> Answers:
     """Return the answers of several runs as those of one."""
+    columns = ("distance", "outcome", "error", "revisit")
     return Answers(
-        *(np.concatenate([getattr(one, name) for one in several]) for name in ("distance", "outcome", "error", "revisit")),
+        *(np.concatenate([getattr(one, name) for one in several]) for name in columns),
         revisits=sum(one.revisits for one in several),
     )
 
@@ -193,27 +208,29 @@ def right_when_revisiting(answers: Answers) -> dict[str, float]:
     }
 
 
-def bootstrap_areas(several: Sequence[Sequence[Answers]], seed: int = 0) -> np.ndarray:
-    """Return areas under the curve for draws of runs with replacement, the same draws for all measures.
+def bootstrap_means(values: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Return means over draws of runs with replacement, the same draws for all measures.
 
     Parameters
     ----------
-    several : sequence of sequences of Answers
-        By measure and by run.
+    values : (runs, measures)
     seed : int
 
     Returns
     -------
     (`BOOTSTRAPS`, measures) float64
     """
-    rng, runs = np.random.default_rng(seed), len(several[0])
-    areas = np.empty((BOOTSTRAPS, len(several)))
-    for draw in areas:
-        chosen = rng.integers(0, runs, runs)
-        for k, answers in enumerate(several):
-            _, precision, recall = answers_curve(pooled_answers([answers[run] for run in chosen]))
-            draw[k] = scores(precision, recall)["area"]
-    return areas
+    runs = len(values)
+    chosen = np.random.default_rng(seed).integers(0, runs, (BOOTSTRAPS, runs))
+    return values[chosen].mean(axis=1)
+
+
+def kept_curve(precision: np.ndarray, recall: np.ndarray) -> dict[str, list[float]]:
+    """Return a curve of at most `CURVE_POINTS` points, as plain lists."""
+    keep = (
+        np.unique(np.linspace(0, len(recall) - 1, CURVE_POINTS).astype(int)) if len(recall) else np.zeros(0, np.int64)
+    )
+    return {"precision": precision[keep].tolist(), "recall": recall[keep].tolist()}
 
 
 def summary(record: RunRecord, measure: str, vectors: str, *, same_direction: bool) -> dict[str, Any]:
@@ -221,12 +238,26 @@ def summary(record: RunRecord, measure: str, vectors: str, *, same_direction: bo
     answers, pairs = ask(record, measure, vectors, same_direction=same_direction)
     _, precision, recall = answers_curve(answers)
     _, pair_precision, pair_recall = curve(pairs.distance, pairs.right, pairs.total)
-    keep = np.unique(np.linspace(0, len(recall) - 1, 200).astype(int)) if len(recall) else np.zeros(0, np.int64)
     return {
         "measure": measure,
         "vectors": vectors,
-        "same_direction": same_direction,
-        "rows": scores(precision, recall) | right_when_revisiting(answers),
-        "pairs": scores(pair_precision, pair_recall),
-        "curve": {"precision": precision[keep].tolist(), "recall": recall[keep].tolist()},
+        "candidates": "same direction" if same_direction else "points",
+        **scores(precision, recall),
+        **right_when_revisiting(answers),
+        **{f"pairs_{name}": value for name, value in scores(pair_precision, pair_recall).items()},
+        "curve": kept_curve(precision, recall),
+        "pairs_curve": kept_curve(pair_precision, pair_recall),
+    }
+
+
+def vote_summary(record: RunRecord, measure: str) -> dict[str, Any]:
+    """Return the scores of the explorer's own answers over a run, as `summary` does."""
+    answers = vote(record, measure)
+    _, precision, recall = answers_curve(answers)
+    return {
+        "measure": measure,
+        "vectors": VECTORS[0],
+        "candidates": "same direction, vote of 4",
+        **scores(precision, recall),
+        **right_when_revisiting(answers),
     }

@@ -135,10 +135,18 @@ def run_explorer(settings: RunSettings) -> RunRecord:
         "compared": memory.detector.compared,
         "areas": len(memory.areas.listed),
         "area_states": [area.state for area in memory.areas.listed],
+        "dead_reckoning_rms_m": _rms(memory.places.odometry, memory.places.step, env.trajectory()),
+        "track_rms_m": _rms(memory.places.pose, memory.places.step, env.trajectory()),
     }
     record = _record(env, memory, metrics, np.array(headings))
     env.close()
     return record
+
+
+def _rms(estimated: np.ndarray, steps: np.ndarray, way: np.ndarray) -> float:
+    """Return how far positions `(n, 2+)` in the frame of the start are off the true way at their steps, rms, metres."""
+    off = estimated[:, :2] - (way[steps, :2] - way[0, :2])
+    return float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else 0.0
 
 
 def _record(env: CyclicLoopEnv, memory: Memory, metrics: dict[str, Any], headings: np.ndarray) -> RunRecord:
