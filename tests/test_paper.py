@@ -315,7 +315,6 @@ def test_what_was_run_is_not_run_again(tmp_path: Path, monkeypatch: pytest.Monke
     runs = [RunSettings(map="ring"), RunSettings(map="ring", seed=1, noise="calibrated"), RunSettings(map="ring")]
     interrupted = run_all(Cache(tmp_path), runs, 1)
     assert [next(interrupted), next(interrupted)] == [0, 1]
-    interrupted.close()
     assert list(run_all(Cache(tmp_path), runs, 1)) == [1, 2]
     assert len(ran) == 2
     for file in tmp_path.glob("run-*.npz"):

@@ -84,7 +84,7 @@ class Cache:
     def load(self, settings: RunSettings) -> RunRecord | None:
         """Return the record of that run; None if it is not there, or its file is damaged."""
         try:
-            with np.load(self._run_file(settings), allow_pickle=False) as data:
+            with self._run_file(settings).open("rb") as file, np.load(file, allow_pickle=False) as data:
                 arrays = {name: data[name] for name in ARRAYS}
                 return RunRecord(metrics=json.loads(str(data["metrics"])), **arrays)
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):

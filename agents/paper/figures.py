@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from agents.knn.explorer import KnnExplorer
@@ -26,7 +27,7 @@ from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.plotting import add_legend, draw_claims, draw_groups, draw_open_areas, draw_path, plan_figure
 
 DPI = 150
-SMALL_WIDTH, SMALL_COLOURS = 1000, 64
+SMALL_WIDTH, SMALL_COLOURS = 1000, 256
 """Pixels, and colours, of the pictures in the documentation."""
 COLOURS = dict(
     zip(
@@ -128,7 +129,8 @@ def similarity_alone(plan: FloorPlan, lap: SecondLap) -> Figure:
     figure, axes = plan_figure(
         plan,
         "Similarity alone: all points are compared",
-        f"least cosine distance {lap.apart[row]:.4f}, {lap.error(row):.1f} m from where the robot is",
+        f"least cosine distance {lap.apart[row]:.4f}, {lap.error(row):.1f} m from where the robot is; "
+        "crosses: each measure's least",
     )
     places = lap.record.position[: len(lap.apart)]
     order = np.argsort(-lap.apart)
@@ -139,6 +141,8 @@ def similarity_alone(plan: FloorPlan, lap: SecondLap) -> Figure:
     bar = figure.colorbar(shown, cax=axes.inset_axes((0.3, 0.87, 0.3, 0.02)), orientation="horizontal", extend="max")
     bar.set_label("cosine distance, up to its median", fontsize=8)
     bar.ax.tick_params(labelsize=7)
+    bar.locator = MaxNLocator(4)
+    bar.update_ticks()
     _mark(axes, lap, lap.points)
     add_legend(axes)
     return figure

@@ -169,13 +169,14 @@ def _claims(results: Results, _: Mapping[str, str]) -> list[str]:
         (
             "Similarity alone misses the place (Fig. 4)",
             "12 pixels off the start",
-            f"{off:.1f} m off near the start; {1 - points['share_right']:.0%} of rows that return are sent elsewhere",
+            f"cosine {off:.1f} m off near the start; {1 - points['share_right']:.0%} of rows that return are sent "
+            "elsewhere",
             _verdict(points["share_right"] < USEFUL),
         ),
         (
             "With indicators, groups and KNN it is found (Fig. 5)",
             "at the start",
-            f"{off_vote:.1f} m off near the start; {voted['share_right']:.0%} of rows that return are found, "
+            f"cosine {off_vote:.1f} m off near the start; {voted['share_right']:.0%} of rows that return are found, "
             f"{points['share_right']:.0%} without",
             "better: confirmed; found: " + ("confirmed" if voted["share_right"] > USEFUL else "not confirmed")
             if voted["share_right"] > points["share_right"]
