@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/pip install --disable-pip-version-check --quiet
 
-.PHONY: demo test lint bench clean
+.PHONY: demo test lint bench paper clean
 
 demo: $(VENV)/.run ## Let the explorer drive Killian Court, write the figures, print the scores
 	$(BIN)/python scripts/run_knn.py
@@ -20,6 +20,9 @@ lint: $(VENV)/.dev ## Style, types, import contracts
 
 bench: $(VENV)/.run ## Measure the speed
 	$(BIN)/python scripts/benchmark.py
+
+paper: $(VENV)/.run ## Reproduce the paper and test its claims: a report with figures in out/paper
+	$(BIN)/python scripts/reproduce_paper.py
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

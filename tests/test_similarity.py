@@ -93,6 +93,29 @@ def test_vectors_that_cannot_be_compared_are_refused(name: str, bad: np.ndarray)
         MEASURES[name].prepare(bad)
 
 
+@pytest.mark.parametrize("name", MEASURES)
+def test_vectors_of_unlike_lengths_are_refused(name: str) -> None:
+    measure = MEASURES[name]
+    with pytest.raises(ConfigError, match="expected one shape"):
+        measure.distance(np.ones(7), np.ones(5))
+    if name != "variation":  # of a vector it keeps but one number
+        with pytest.raises(ConfigError, match="expected \\(n, d\\) and"):
+            measure.compare(measure.prepare(np.ones((4, 7))), measure.prepare(np.ones(1)))
+
+
+@pytest.mark.parametrize("name", MEASURES)
+@pytest.mark.parametrize("bad", ["far", np.array([1e200, 1e200]), np.array([1j, 2])])
+def test_huge_values_and_what_are_no_numbers_are_refused(name: str, bad: object) -> None:
+    with pytest.raises(ConfigError):
+        MEASURES[name].prepare(bad)  # pyright: ignore[reportArgumentType]
+
+
+@pytest.mark.parametrize("name", [name for name in MEASURES if name != "variation"])
+def test_vectors_of_one_coordinate_have_the_stated_distances(name: str) -> None:
+    expected = {"jaccard": 1.0, "euclidean": 3.0, "cityblock": 3.0, "chebyshev": 3.0}.get(name, 0.0)
+    assert MEASURES[name].distance(np.array([1.0]), np.array([4.0])) == expected
+
+
 def test_variation_refuses_a_single_coordinate() -> None:
     with pytest.raises(ConfigError, match="at least 2 coordinates"):
         MEASURES["variation"].prepare(np.array([1.0]))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 from typing import Any, Literal
 
 from agents.knn.similarity import measure_by_name
@@ -11,6 +14,15 @@ from cyclic_env.errors import ConfigError, shown
 
 DETECTORS = ("both", "knn", "position")
 ORDERS = ("nearest", "first in first out", "last in first out")
+THRESHOLDS = Path(__file__).with_name("thresholds.json")
+"""Written by ``scripts/calibrate_thresholds.py``."""
+
+
+@lru_cache(maxsize=1)
+def calibrated_thresholds() -> dict[str, float]:
+    """Return for each measure the similarity from which a place counts as visited, as calibrated on training plans."""
+    measures = json.loads(THRESHOLDS.read_text(encoding="utf-8"))["measures"]
+    return {name: entry["threshold"] for name, entry in measures.items()}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,8 +41,9 @@ class ExplorerConfig:
     """Similarity of two places' properties; see `agents.knn.similarity.MEASURES`."""
     neighbours: int = 4
     """K: rows that vote."""
-    threshold: float = 0.99
-    """Similarity from which a place counts as visited, if nothing else is asked for."""
+    threshold: float | None = None
+    """Similarity above which a place counts as visited, if nothing else is asked for; None: as calibrated for the
+    measure, see `calibrated_thresholds`."""
     sectors: int = 7
     """Numbers that a place's properties are, looking ahead."""
     rounding: float = 0.5
@@ -62,8 +75,13 @@ class ExplorerConfig:
             value = getattr(self, name)
             if not isinstance(value, int | float) or not 0 < value < 1000:
                 raise ConfigError(f"{name} is {shown(value)}; expected metres above 0.")
-        if not isinstance(self.threshold, int | float) or not -1 <= self.threshold <= 1:
-            raise ConfigError(f"threshold is {shown(self.threshold)}; expected a similarity, at most 1.")
+        if self.threshold is not None and not (isinstance(self.threshold, int | float) and -1 <= self.threshold <= 1):
+            raise ConfigError(f"threshold is {shown(self.threshold)}; expected a similarity, at most 1, or None.")
+
+    @property
+    def least_similarity(self) -> float:
+        """The threshold, or the calibrated one of the measure."""
+        return calibrated_thresholds()[self.measure] if self.threshold is None else self.threshold
 
 
 PRESETS: dict[str, ExplorerConfig] = {

@@ -127,13 +127,15 @@ class Detector:
 
     def _by_vote(self, places: Places) -> Detection:
         """Ask by the paper's rule: the vote among tables of the same direction, and a threshold."""
-        direction, group = places.direction[-1], places.group[-1]
-        tables = np.flatnonzero((places.direction == direction) & (places.group != group))
+        direction = int(places.direction[-1])
+        tables = np.flatnonzero(places.group != places.group[-1])
         if self.config.detector == "both":
             gate = np.clip(POSITION_DRIFT * (places.path[-1] - places.path[tables]), DRIFT_MIN, DRIFT_MAX)
             tables = tables[distances(places.pose[tables], places.pose[-1]) < gate]
-        rows, similarities = self._vote(places, tables, tables[:0])
-        if len(rows) and similarities[0] > self.config.threshold:
+        same = tables[places.direction[tables] == direction]
+        back = tables[places.direction[tables] == opposite(direction)]
+        rows, similarities = self._vote(places, same, back if self.config.both_directions else back[:0])
+        if len(rows) and similarities[0] > self.config.least_similarity:
             return Detection(visited=int(rows[0]))
         return Detection()
 

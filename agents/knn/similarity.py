@@ -10,19 +10,25 @@ variation is the sum of the two vectors' sample variances (Eq. 1).
 
 Degenerate vectors: of two vectors without a direction (all zeros for cosine; constant for correlation and
 Spearman) the distance is 0, of one without and one with, 1. Two vectors of zeros have the Jaccard distance 0. Vectors
-of a single coordinate are constant, and variation, which needs two, refuses them.
+of a single coordinate are constant, and variation, which needs two, refuses them. NaN, infinite and huge values and
+vectors of unlike lengths are refused, so no distance is ever NaN.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
+from scipy.spatial.distance import cdist
 from scipy.stats import rankdata
 
-from cyclic_env.config import checked_name
+from cyclic_env.config import checked_name, real_array
 from cyclic_env.errors import ConfigError
+
+LARGEST = 1e100
+"""A coordinate's size at most: squares and sums of such have room in a float."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -41,22 +47,43 @@ class Measure:
         Raises
         ------
         ConfigError
-            If there are no coordinates, or too few for this measure, or a value is not finite.
+            If these are no numbers, or no coordinates, or too few for this measure, or a value is not finite or beyond
+            `LARGEST`.
         """
-        features = np.asarray(features, np.float64)
+        features = real_array(features, "the features", "vectors of numbers", ConfigError).astype(np.float64)
         least = 2 if self.name == "variation" else 1
         if features.ndim not in (1, 2) or features.shape[-1] < least:
             raise ConfigError(f"{self.name} needs vectors of at least {least} coordinates, got shape {features.shape}.")
-        if not np.isfinite(features).all():
-            raise ConfigError(f"{self.name} can't compare vectors with NaN or infinite values; leave such rows out.")
+        if not (np.abs(features) <= LARGEST).all():
+            raise ConfigError(
+                f"{self.name} can't compare vectors with NaN, infinite or huge values; leave such rows out."
+            )
         return self._prepare(features)
 
     def compare(self, rows: np.ndarray, query: np.ndarray) -> np.ndarray:
-        """Return the distances `(n,)` between prepared rows `(n, d')` and one prepared query `(d',)`."""
+        """Return the distances `(n,)` between prepared rows `(n, d')` and one prepared query `(d',)`.
+
+        Raises
+        ------
+        ConfigError
+            If they are of unlike lengths.
+        """
+        if rows.ndim != 2 or query.ndim != 1 or rows.shape[1] != len(query):
+            raise ConfigError(
+                f"{self.name} got rows of shape {rows.shape} and a query of {query.shape}; expected (n, d) and (d,)."
+            )
         return self._compare(rows, query)
 
     def distance(self, a: np.ndarray, b: np.ndarray) -> float:
-        """Return the distance between two feature vectors `(d,)`."""
+        """Return the distance between two feature vectors `(d,)`.
+
+        Raises
+        ------
+        ConfigError
+            If they are of unlike lengths, or `prepare` refuses one.
+        """
+        if np.shape(a) != np.shape(b):
+            raise ConfigError(f"{self.name} got vectors of shapes {np.shape(a)} and {np.shape(b)}; expected one shape.")
         return float(self.compare(self.prepare(a)[None], self.prepare(b))[0])
 
     def similarity(self, distance: np.ndarray) -> np.ndarray:
@@ -86,9 +113,13 @@ def _angular(rows: np.ndarray, query: np.ndarray) -> np.ndarray:
 
 
 def _jaccard(rows: np.ndarray, query: np.ndarray) -> np.ndarray:
-    either = (rows != 0) | (query != 0)
-    union = either.sum(axis=-1)
-    return np.divide((rows != query).sum(axis=-1), union, out=np.zeros(len(rows)), where=union > 0)
+    ones = np.ones(len(query))  # products with it count several times as fast as sums over short rows
+    union = ((rows != 0) | (query != 0)) @ ones
+    return np.divide((rows != query) @ ones, union, out=np.zeros(len(rows)), where=union > 0)
+
+
+def _scipys(metric: Literal["euclidean", "cityblock", "chebyshev"]) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
+    return lambda rows, query: cdist(rows, query[None], metric)[:, 0]
 
 
 def _as_it_is(vectors: np.ndarray) -> np.ndarray:
@@ -105,9 +136,9 @@ MEASURES: dict[str, Measure] = {
     measure.name: measure
     for measure in (
         _measure("jaccard", True, _as_it_is, _jaccard),
-        _measure("euclidean", False, _as_it_is, lambda rows, query: np.sqrt(((rows - query) ** 2).sum(axis=-1))),
-        _measure("cityblock", False, _as_it_is, lambda rows, query: np.abs(rows - query).sum(axis=-1)),
-        _measure("chebyshev", False, _as_it_is, lambda rows, query: np.abs(rows - query).max(axis=-1)),
+        _measure("euclidean", False, _as_it_is, _scipys("euclidean")),
+        _measure("cityblock", False, _as_it_is, _scipys("cityblock")),
+        _measure("chebyshev", False, _as_it_is, _scipys("chebyshev")),
         _measure("cosine", True, _unit, _angular),
         _measure("spearman", True, lambda vectors: _centred(rankdata(vectors, axis=-1)), _angular),
         _measure(
