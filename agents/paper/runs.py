@@ -186,7 +186,7 @@ def closure_truth(plan: FloorPlan, way: np.ndarray, steps: np.ndarray, closure: 
     (n, n) int8
         As `RunRecord.truth`, by the definition of `cyclic_env.loop_closure`.
     """
-    tiles = build_wall_tiles([plan], closure.return_radius)
+    tiles = build_wall_tiles(plan, closure.return_radius)
     truth = np.full((len(steps), len(steps)), ELSEWHERE, np.int8)
     for i, step in enumerate(steps.tolist()):
         off = np.hypot(*(way[: step + 1, :2] - way[step, :2]).T)
