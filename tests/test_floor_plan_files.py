@@ -190,7 +190,7 @@ def test_a_folder_is_no_plan(tmp_path: Path) -> None:
 
 
 def test_a_folder_can_not_be_read(tmp_path: Path) -> None:
-    with pytest.raises(FloorPlanError, match="can't be read: Is a directory"):
+    with pytest.raises(FloorPlanError, match="is a folder or a device; expected a YAML file"):
         read_floor_plan(tmp_path)
 
 
