@@ -483,6 +483,22 @@ def table_notes(evaluations: Sequence[Evaluation]) -> list[str]:
     return notes
 
 
+def score_rows(info: Mapping[str, Any]) -> dict[str, str]:
+    """Return what an episode's info says of its closures and its exploration, each with its name."""
+    return {
+        "cycles closed": f"{info['cycles_closed']} of {info['cycles_total']}",
+        "false claims": f"{info['false_claims']} of {info['claims']}",
+        "revisits recognised": f"{info['revisits_recognised']} of {info['revisits']}",
+        "seen": f"{info['coverage']:.1%}",
+        "path": f"{info['path_length_m']:,.0f} m",
+    }
+
+
+def format_rows(rows: Mapping[str, str]) -> str:
+    """Return what is said of one episode, one thing a line."""
+    return "\n".join(f"{name:>20}  {value}" for name, value in rows.items())
+
+
 def check_writable(path: Path) -> None:
     """Check, before hours of work, that the file can be written.
 

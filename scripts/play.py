@@ -16,6 +16,7 @@ from collections.abc import Sequence
 
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopError, Recorder, map_names
 from cyclic_env.errors import shown
+from cyclic_env.evaluation import format_rows, score_rows
 from cyclic_env.play import SHOWS, Play
 
 EPILOG = """keys: arrows or WASD drive, with Shift slowly; Space claims to be back at the ringed place of the own way,
@@ -107,15 +108,11 @@ def scores(play: Play) -> str:
     """Return the scores, one a line."""
     info = play.info
     rows = {
-        "cycles closed": f"{info['cycles_closed']} of {info['cycles_total']}",
-        "false claims": f"{info['false_claims']} of {info['claims']}",
-        "revisits recognised": f"{info['revisits_recognised']} of {info['revisits']}",
-        "seen": f"{info['coverage']:.1%}",
-        "path": f"{info['path_length_m']:,.0f} m",
+        **score_rows(info),
         "return": f"{play.total:.1f}",
         "steps": f"{play.steps:,}",
     }
-    return "\n".join(f"{name:>20}  {value}" for name, value in rows.items())
+    return format_rows(rows)
 
 
 if __name__ == "__main__":

@@ -16,7 +16,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, RecordingError, read_recording, replay
-from cyclic_env.evaluation import ProgressLine, check_outputs
+from cyclic_env.evaluation import ProgressLine, check_outputs, format_rows, score_rows
 from cyclic_env.recording import Recording, Replay
 from cyclic_env.trajectories import ate
 
@@ -77,17 +77,13 @@ def report(recording: Recording, outcome: Replay) -> str:
             off[f"{name} track"] = (track[:, 1:3], recording.poses[track[:, 0].astype(int), :2])
     rows = {
         "map, sensors": f"{recording.map}, {recording.noise}, seed {recording.seed}",
-        "cycles closed": f"{info['cycles_closed']} of {info['cycles_total']}",
-        "false claims": f"{info['false_claims']} of {info['claims']}",
-        "revisits recognised": f"{info['revisits_recognised']} of {info['revisits']}",
-        "seen": f"{info['coverage']:.1%}",
-        "path": f"{info['path_length_m']:,.0f} m",
+        **score_rows(info),
         "off, rms": ", ".join(f"{name} {ate(*pair):.2f} m" for name, pair in off.items()),
         "return": f"{outcome.episode_return:.1f}",
         "collisions": f"{info['collisions']}",
         "steps": f"{outcome.steps:,}" + ("" if ended else ", cut short"),
     }
-    return "\n".join([outcome.verdict(), *(f"{name:>20}  {value}" for name, value in rows.items())])
+    return f"{outcome.verdict()}\n{format_rows(rows)}"
 
 
 if __name__ == "__main__":

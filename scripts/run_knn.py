@@ -25,7 +25,7 @@ from agents.knn.config import DETECTORS, PRESETS, preset
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.knn.similarity import MEASURES
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, map_names
-from cyclic_env.evaluation import ProgressLine, check_outputs
+from cyclic_env.evaluation import ProgressLine, check_outputs, format_rows, score_rows
 from cyclic_env.recording import write_recording
 from cyclic_env.trajectories import ate, write_g2o, write_tum
 from cyclic_env.whole_file import whole_file
@@ -247,9 +247,9 @@ def export(run: Run, folder: Path) -> None:
 
 def score_table(metrics: dict[str, Any]) -> str:
     """Return the scores, one a line."""
-    path = f"{metrics['path_length_m']:,.0f} m"
+    scores = score_rows(metrics)
     if metrics["path_over_tour"] is not None:
-        path += f", {metrics['path_over_tour']:.2f} times the shortest tour of all corridors"
+        scores["path"] += f", {metrics['path_over_tour']:.2f} times the shortest tour of all corridors"
     tracks = [
         f"{title} {metrics[f'ate_{name}_m']:.2f} m ({metrics[f'ate_{name}_aligned_m']:.2f} m aligned)"
         for title, name in (("dead reckoning", "dead_reckoning"), ("corrected track", "corrected"))
@@ -257,11 +257,7 @@ def score_table(metrics: dict[str, Any]) -> str:
     ]
     times = [1000 * metrics[f"seconds_per_step_{name}"] for name in ("env", "agent", "agent_median")]
     rows = {
-        "cycles closed": f"{metrics['cycles_closed']} of {metrics['cycles_total']}",
-        "false claims": f"{metrics['false_claims']} of {metrics['claims']}",
-        "revisits recognised": f"{metrics['revisits_recognised']} of {metrics['revisits']}",
-        "seen": f"{metrics['coverage']:.1%}",
-        "path": path,
+        **scores,
         "off, rms": ", ".join(tracks),
         "return": f"{metrics['return']:.1f}",
         "collisions": f"{metrics['collisions']}",
@@ -270,7 +266,7 @@ def score_table(metrics: dict[str, Any]) -> str:
         "open areas": f"{metrics['open_areas']}",
         "a step takes": f"env {times[0]:.2f} ms, agent {times[1]:.2f} ms (median {times[2]:.3f} ms)",
     }
-    return "\n".join(f"{name:>20}  {value}" for name, value in rows.items())
+    return format_rows(rows)
 
 
 def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
