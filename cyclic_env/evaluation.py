@@ -22,6 +22,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from scipy.special import stdtrit
 
 from cyclic_env.config import is_integer
+from cyclic_env.engine import engine_config
 from cyclic_env.errors import ConfigError, shown
 from cyclic_env.floor_plans import pool_label
 from cyclic_env.vector_env import CyclicLoopVectorEnv
@@ -303,6 +304,7 @@ def evaluate(
     map_name: Any = "killian_court",
     noise: Any = "ideal",
     num_envs: int | None = None,
+    every_plan: bool = False,
     deterministic: bool = True,
     progress: bool = False,
     **settings: Any,
@@ -323,6 +325,9 @@ def evaluate(
         As for `CyclicLoopEnv`.
     num_envs : int, optional
         Most episodes rolled out at once; by default `BATCH`.
+    every_plan : bool
+        Go through a pool's plans in turn, the episode of seed s on plan s modulo their number; by default an episode
+        draws its plan.
     deterministic : bool
         Handed to the policy.
     progress : bool
@@ -335,30 +340,37 @@ def evaluate(
     """
     seeds = checked_seeds(seeds)
     num_envs = BATCH if num_envs is None else num_envs
-    env = CyclicLoopVectorEnv(
-        min(num_envs, len(seeds)) if is_integer(num_envs) else num_envs,
-        map_name,
-        noise=noise,
-        autoreset_mode="SAME_STEP",
-        **settings,
-    )
-    config = env.engine.config
+    config = engine_config(map_name=map_name, noise=noise, **settings)
     map_label = pool_label(config.plans.names)
+    parts: list[tuple[Any, list[int]]] = [(map_name, seeds)]
+    if every_plan:
+        seeds_of: dict[int, list[int]] = {}
+        for seed in seeds:
+            seeds_of.setdefault(seed % len(config.plans), []).append(seed)
+        parts = [(config.plans.entries[place], its_seeds) for place, its_seeds in seeds_of.items()]
     line = ProgressLine() if progress else None
-
-    def show(done: int, steps: int) -> None:
-        if line is not None:
-            line.show(f"{agent} on {map_label}: {done} of {len(seeds)} episodes, {steps} steps")
-
     records: list[dict[str, Any]] = []
+    steps = 0
+
+    def show(*_: int) -> None:
+        nonlocal steps
+        steps += 1
+        if line is not None:
+            line.show(f"{agent} on {map_label}: {len(records)} of {len(seeds)} episodes, {steps} steps")
+
     complete = True
     try:
-        for record in rollout(policy, env, seeds, deterministic=deterministic, progress=show):
-            records.append(record)
+        for name, its_seeds in parts:
+            rows = min(num_envs, len(its_seeds)) if is_integer(num_envs) else num_envs
+            env = CyclicLoopVectorEnv(rows, name, noise=noise, autoreset_mode="SAME_STEP", **settings)
+            try:
+                for record in rollout(policy, env, its_seeds, deterministic=deterministic, progress=show):
+                    records.append(record)  # one by one, for a Ctrl-C
+            finally:
+                env.close()
     except KeyboardInterrupt:
         complete = False
     finally:
-        env.close()
         if line is not None:
             line.clear()
     order = {seed: index for index, seed in enumerate(seeds)}

@@ -30,6 +30,7 @@ examples:
   python scripts/evaluate.py knn knn_paper circling --map ring
   python scripts/evaluate.py out/ppo_ring random --noise typical --episodes 20 --json out/scores.json
   python scripts/evaluate.py --all-baselines --markdown
+  python scripts/evaluate.py knn --map generated:test --every-plan --episodes 200 --noise typical
 
 The agents see the same episodes: episode i is that of seed i. With ideal sensors and a fixed start seeds change nothing
 for agents that don't draw: give --noise or --random-start."""
@@ -52,6 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--random-start", action="store_true", help="draw the starts (default: the plan's own)")
     parser.add_argument("--episodes", type=int, help="how many, with seeds 0, 1, 2 ... (default 10)")
     parser.add_argument("--seeds", help="A:B, the seeds from A to B - 1, in place of --episodes")
+    parser.add_argument(
+        "--every-plan", action="store_true", help="a pool's plans in turn, seed s on plan s (default: drawn)"
+    )
     parser.add_argument("--step-budget", type=int, help="longest episode (default: what the plan needs)")
     parser.add_argument("--num-envs", type=int, help="most episodes at once (default 16)")
     parser.add_argument("--stochastic", action="store_true", help="let models draw their actions")
@@ -107,6 +111,7 @@ def chosen_evaluations(args: argparse.Namespace) -> Iterator[Evaluation]:
         random_start=args.random_start,
         step_budget=args.step_budget,
         num_envs=args.num_envs,
+        every_plan=args.every_plan,
         deterministic=not args.stochastic,
         progress=True,
     )

@@ -63,6 +63,15 @@ def test_episodes_of_different_length_and_plan_do_not_depend_on_the_batch() -> N
     assert {episode["map"] for episode in one.episodes} == {"ring", "grid"}
 
 
+def test_every_plan_of_a_pool_is_gone_through_in_turn() -> None:
+    pool, settings = ["ring", "grid", "office"], {"noise": "typical", "step_budget": BUDGET}
+    result = evaluate(make_agent("random"), seeds=[7, 0, 4, 3], map_name=pool, every_plan=True, **settings)
+    assert [episode["map"] for episode in result.episodes] == ["grid", "ring", "grid", "ring"]
+    assert result.map == "ring,grid,office"
+    alone = evaluate(make_agent("random"), seeds=[7, 4], map_name="grid", **settings)
+    assert [result.episodes[0], result.episodes[2]] == alone.episodes
+
+
 def test_a_record_is_what_a_single_env_says() -> None:
     env = CyclicLoopEnv("ring", noise="calibrated", step_budget=BUDGET)
     agent = make_agent("to_and_fro+claims")
