@@ -25,6 +25,7 @@ from agents.paper.runs import BEAM_ROUNDING, RunRecord
 from agents.paper.sections import AGAIN, AGENTS, EXPLORER, SecondLap
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.plotting import add_legend, draw_claims, draw_groups, draw_open_areas, draw_path, plan_figure
+from cyclic_env.whole_file import whole_file
 
 DPI = 150
 SMALL_WIDTH, SMALL_COLOURS = 1000, 256
@@ -43,20 +44,22 @@ STEP = re.compile(r"^\s*# (Steps? .+)$", re.MULTILINE)
 
 def save(figure: Figure, folder: Path, name: str) -> Path:
     """Write a figure into a folder, as PNG and as PDF; return the PNG."""
-    folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None})
-    figure.savefig(folder / f"{name}.png", dpi=DPI)
-    return folder / f"{name}.png"
+    picture = folder / f"{name}.png"
+    with whole_file(picture.with_suffix(".pdf")) as part:
+        figure.savefig(part, metadata={"CreationDate": None})
+    with whole_file(picture) as part:
+        figure.savefig(part, dpi=DPI)
+    return picture
 
 
-def write_small(picture: Path, path: Path) -> None:
-    """Write a picture again, small and of few colours, for the documentation."""
-    with Image.open(picture) as image:
+def write_small(picture: Path, path: Path) -> Path:
+    """Write a picture again, small and of few colours, for the documentation; return the file."""
+    with Image.open(picture) as image, whole_file(path) as part:
         scale = min(1.0, SMALL_WIDTH / image.width)
-        small = image.convert("RGB").resize(
-            (round(scale * image.width), round(scale * image.height)), Image.Resampling.LANCZOS
-        )
-        small.quantize(SMALL_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+        size = (round(scale * image.width), round(scale * image.height))
+        small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+        small.quantize(SMALL_COLOURS, dither=Image.Dither.NONE).save(part, optimize=True)
+    return path
 
 
 def building(plan: FloorPlan) -> Figure:
