@@ -335,6 +335,18 @@ def test_other_code_or_another_threshold_is_another_result(tmp_path: Path, monke
     assert code_version() != "other"
 
 
+def test_results_depend_on_the_engine_the_plans_and_the_libraries_but_not_on_what_shows_them() -> None:
+    files = {file.relative_to(caching.ROOT).as_posix() for name in caching.SOURCES for file in caching.ROOT.glob(name)}
+    assert {
+        "cyclic_env/engine.py",
+        "cyclic_env/floor_plans/files.py",
+        "maps/ring.yaml",
+        "agents/knn/detector.py",
+    } <= files
+    assert files >= set(caching.SHOWING)
+    assert "pymunk" in caching.LIBRARIES
+
+
 def test_a_run_that_fails_in_another_process_is_one_error(tmp_path: Path) -> None:
     with pytest.raises(CyclicLoopError, match="Did you mean 'ring'"):
         list(run_all(Cache(tmp_path), [RunSettings(map="rin"), RunSettings(map="rin", seed=1)], 2))
@@ -359,7 +371,12 @@ def test_ctrl_c_leaves_one_line_and_what_was_run(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"), [(["--processes", "0"], "--processes is 0"), (["--out", "README.md"], "can't write to")]
+    ("arguments", "message"),
+    [
+        (["--processes", "0"], "--processes is 0"),
+        (["--processes", "100000"], "--processes is 100000"),
+        (["--out", "README.md"], "can't write to"),
+    ],
 )
 def test_bad_input_gets_one_line(
     arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
