@@ -28,7 +28,7 @@ from cyclic_env.plotting import add_legend, draw_claims, draw_groups, draw_open_
 from cyclic_env.whole_file import whole_file
 
 DPI = 150
-SMALL_WIDTH, SMALL_COLOURS = 1000, 64
+SMALL_WIDTH, SMALL_COLOURS = 1000, 256
 """Pixels, and colours, of the pictures in the documentation."""
 COLOURS = dict(
     zip(
@@ -45,8 +45,8 @@ AGENT_STYLES: dict[str, dict[str, Any]] = {
     )
 }
 """Told apart by their markers where colours are not, or lines lie on each other."""
-CROWDED = 40.0
-"""Metres between two marks on the plan, on each axis, within which the later one has its label below."""
+CROWDED = 45.0, 8.0
+"""Metres east and north between two marks within which the later one has its label below."""
 STEP = re.compile(r"^\s*# (Steps? .+)$", re.MULTILINE)
 """The comments of the explorer's code that name the paper's steps."""
 
@@ -102,7 +102,7 @@ def algorithm() -> Figure:
     for text, y in zip(steps, middles, strict=True):
         style = {"boxstyle": "round,pad=0.02", "facecolor": "#f3efe4", "edgecolor": "#333333", "linewidth": 1.0}
         axes.add_patch(FancyBboxPatch((left, y - box / 2), width, box, **style))
-        lines = "\n".join(textwrap.wrap(text, 74))
+        lines = "\n".join(textwrap.wrap(text, 62))
         axes.text(left + width / 2, y, lines, ha="center", va="center", fontsize=9)
     arrow = {"arrowstyle": "-|>", "color": "#333333", "linewidth": 1.0}
     for upper, lower in itertools.pairwise(middles):
@@ -191,7 +191,7 @@ def _mark(axes: Axes, lap: SecondLap, found: Mapping[str, int]) -> None:
         x, y = position[row]
         colour, label = ("#d43d2a", "found by cosine") if "cosine" in names else ("#8c50a5", None)
         axes.plot(x, y, marker="X", markersize=9, linestyle="", color=colour, label=label, zorder=6)
-        crowded = any(np.abs(position[row] - other).max() < CROWDED for other in taken)
+        crowded = any((np.abs(position[row] - other) < CROWDED).all() for other in taken)
         taken.append(position[row])
         side = {"xytext": (-9 if x > middle else 9, -16 if crowded else 9), "ha": "right" if x > middle else "left"}
         halo = [withStroke(linewidth=2, foreground="white")]

@@ -160,7 +160,10 @@ def _table_1(results: Results) -> list[str]:
         _recognised(results, EXPLORER),
         f"### Rows {AGAIN}",
         _recognised(results, AGAIN),
-        picture("recognition", "Precision over recall of every measure; solid: same direction, dotted: all points"),
+        picture(
+            "recognition",
+            "Precision over recall of every measure; solid: same direction, dotted: all points (scales differ)",
+        ),
         paragraph(f"""
             Variation adds the variances of both vectors, so it does not compare them at all, and equal places are not
             near: it finds {variation["share_right"]:.1%}. `recognition.csv` has all vectors with all candidates,
@@ -188,7 +191,9 @@ def _table_2(results: Results) -> list[str]:
     slowest = max(entry["rows"][1] for entry in results.times.values())
     known = {name: entry for name, entry in results.times.items() if entry["sklearn"]}
     beaten = [name for name, entry in known.items() if entry["rows"][1] > entry["sklearn"][1]]
-    sklearn = f"it is quicker for {', '.join(beaten)}" if beaten else "every measure that it knows is as quick here"
+    sklearn = (
+        f"it is quicker for {', '.join(beaten)}" if beaten else "each measure that it knows is at least as quick here"
+    )
     return [
         "## 2. Table 2: the time of a comparison",
         paragraph("""
@@ -315,7 +320,8 @@ def _ambiguities(results: Results) -> list[str]:
         "## 5. What the paper leaves open",
         paragraph("""
             The preset `paper`, ideal sensors, one reading varied at a time. A cell is: cycles closed, precision,
-            recall, metres driven, return (100 is a perfect run; a false claim costs 5). A dash: nothing to judge."""),
+            recall, metres driven, return (100 is a perfect run; a false claim costs 5). A dash: nothing to judge. Rows
+            with the preset's own value, such as K: 4, are one and the same run."""),
         table(
             f"reading | {' | '.join(scope.varied_maps)}",
             (

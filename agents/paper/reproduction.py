@@ -70,6 +70,7 @@ class Reproduction:
         pictures = self._draw(cache, results, lap)
         written = [write_text(self.folder / "report.md", report_text(results)), *pictures, *self._write_tables(results)]
         if self.docs is not None:
+            (self.docs / "paper").mkdir(parents=True, exist_ok=True)
             written.append(write_text(self.docs / "paper.md", report_text(results, "paper/")))
             written += [figures.write_small(path, self.docs / "paper" / path.name) for path in pictures]
         return written
