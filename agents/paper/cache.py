@@ -7,8 +7,6 @@ import json
 import multiprocessing
 import os
 import signal
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -101,7 +99,7 @@ class Cache:
             with self._run_file(settings).open("rb") as file, np.load(file, allow_pickle=False) as data:
                 arrays = {name: data[name] for name in ARRAYS}
                 return RunRecord(metrics=json.loads(str(data["metrics"])), **arrays)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        except Exception:  # a damaged file's bytes can be anything
             return None
 
     def save(self, settings: RunSettings, record: RunRecord) -> None:
@@ -173,3 +171,6 @@ def run_all(cache: Cache, runs: Sequence[RunSettings], processes: int) -> Iterat
         pool.shutdown(wait=False, cancel_futures=True)
         for child in multiprocessing.active_children():  # at once, if interrupted; else there are none
             child.terminate()
+            child.join()
+            for part in cache.folder.glob(f".*.{child.pid}.part.*"):
+                part.unlink(missing_ok=True)
