@@ -9,11 +9,10 @@ from agents.knn.similarity import MEASURES
 from agents.paper.recognition import POINTS, VECTORS, VOTE
 from agents.paper.results import Results, against_cosine
 from agents.paper.sections import AGAIN, EXPLORER, TABLE_1, TABLE_2
+from agents.paper.timing import NEAR
 
 USEFUL = 0.5
 """Share of places found, of cycles closed, or recall, from which a claim counts as useful."""
-SAME_PLACE = 3.0
-"""Metres within which two places are one, by the definition of a return."""
 WHOLE = 0.99
 """Coverage from which a building has been seen, as the environment has it."""
 
@@ -70,7 +69,7 @@ def _times(results: Results) -> Claim:
 
 def _similarity_alone(results: Results) -> Claim:
     off = results.lap_errors["points"]
-    near = sum(error <= SAME_PLACE for error in off.values())
+    near = sum(error <= NEAR for error in off.values())
     share = {name: results.recognised(AGAIN, name, POINTS)["share_right"] for name in MEASURES}
     return Claim(
         "Similarity alone misses the place (Fig. 4)",

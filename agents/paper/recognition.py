@@ -20,8 +20,9 @@ from agents.knn.detector import Detector
 from agents.knn.similarity import measure_by_name
 from agents.navigation.places import Places
 from agents.paper.runs import ELSEWHERE, RETURNS, RunRecord
+from cyclic_env.config import ClosureConfig
 
-GAP = 20.0
+GAP = ClosureConfig().gap
 """Metres driven since, as in the definition of a return."""
 VECTORS = ("7 sectors", "all beams")
 POINTS, SAME_DIRECTION, VOTE = "points", "same direction", "same direction, vote of 4"
