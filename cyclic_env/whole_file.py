@@ -12,7 +12,7 @@ from pathlib import Path
 def whole_file(path: str | Path) -> Iterator[Path]:
     """Yield a path to write to, which becomes the file `path` once that is done; else what was there stays.
 
-    It lies beside the file and has its suffix. A device or a pipe is written to as it is.
+    It lies beside the file, has its suffix, and is this process's own. A device or a pipe is written to as it is.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     if path.exists() and not path.is_file():
         yield path
         return
-    part = path.with_name(f".{path.stem[:40]}.part{path.suffix}")
+    part = path.with_name(f".{path.stem[:40]}.{os.getpid()}.part{path.suffix}")
     try:
         yield part
         part.replace(path)

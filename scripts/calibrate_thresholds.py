@@ -18,11 +18,12 @@ import json
 from collections.abc import Sequence
 
 from agents.knn.config import THRESHOLDS
-from agents.paper.cache import Cache, run_all
+from agents.paper.cache import Cache, check_processes, run_all
 from agents.paper.thresholds import thresholds_file, training_runs
 from cyclic_env.errors import ConfigError, CyclicLoopError
 from cyclic_env.evaluation import ProgressLine, check_writable
 from cyclic_env.floor_plans.building_spec import SPLITS
+from cyclic_env.whole_file import whole_file
 
 PLANS = 20
 
@@ -40,18 +41,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         most = SPLITS["train"].plans
         if not 1 <= args.plans <= most:
             raise ConfigError(f"--plans is {args.plans}; expected 1 to {most}, the plans of the train split.")
-        if args.processes < 1:
-            raise ConfigError(f"--processes is {args.processes}; expected at least 1.")
+        check_processes(args.processes)
         check_writable(args.out)
         check_writable(args.cache / "file")
         cache, runs = Cache(args.cache), training_runs(args.plans)
-        for done in run_all(cache, runs, args.processes):
-            progress.show(f"{done} of {len(runs)} runs")
+        for done, count in run_all(cache, runs, args.processes):
+            progress.show(f"{done} of {count} runs")
         progress.clear()
         records = [cache.record(settings) for settings in runs]
         command = f"python scripts/calibrate_thresholds.py --plans {args.plans}"
         result = thresholds_file(records, args.plans, command)
-        args.out.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        with whole_file(args.out) as part:
+            part.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     except (CyclicLoopError, OSError) as error:
         progress.clear()
         print(f"calibrate_thresholds.py: {error}", file=sys.stderr)

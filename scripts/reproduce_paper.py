@@ -16,8 +16,9 @@ if __name__ == "__main__":  # Ctrl-C while the packages load
 import argparse
 from collections.abc import Sequence
 
+from agents.paper.cache import check_processes
 from agents.paper.sections import FULL, QUICK
-from cyclic_env.errors import ConfigError, CyclicLoopError
+from cyclic_env.errors import CyclicLoopError
 from cyclic_env.evaluation import ProgressLine, check_writable
 
 
@@ -34,8 +35,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         import cyclic_env.plotting  # noqa: F401 (it says what to do where matplotlib is missing)
         from agents.paper.reproduction import Reproduction
 
-        if args.processes < 1:
-            raise ConfigError(f"--processes is {args.processes}; expected at least 1.")
+        check_processes(args.processes)
         folders = [args.out, args.out / "cache", *([] if args.docs is None else [args.docs / "paper"])]
         for folder in folders:
             check_writable(folder / "file")

@@ -47,3 +47,15 @@ def test_a_link_stays_a_link_and_a_device_a_device(tmp_path: Path) -> None:
     with whole_file("/dev/null") as part:
         part.write_text("gone")
     assert Path("/dev/null").is_char_device()
+
+
+def test_two_processes_that_write_one_file_leave_it_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = tmp_path / "shared.txt"
+    with whole_file(file) as first:
+        first.write_text("first")
+        monkeypatch.setattr("os.getpid", lambda: -1)  # another process
+        with whole_file(file) as second:
+            second.write_text("second")
+        assert file.read_text() == "second"
+    assert file.read_text() == "first"
+    assert list(tmp_path.iterdir()) == [file]

@@ -7,13 +7,12 @@ import json
 import multiprocessing
 import os
 import signal
-import zipfile
-import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import asdict
 from functools import lru_cache
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,23 +20,35 @@ import numpy as np
 
 from agents.paper.runs import ARRAYS, RunRecord, RunSettings, run_explorer
 from cyclic_env import __version__
-from cyclic_env.errors import CyclicLoopError
+from cyclic_env.errors import ConfigError, CyclicLoopError
+from cyclic_env.whole_file import whole_file
 
-AGENTS = Path(__file__).resolve().parents[1]
-MEASURING = ("knn", "navigation", "paper")
-"""Folders whose sources results depend on."""
-SHOWING = ("report.py", "figures.py", "reproduction.py")
-"""Modules that only show results: a change of theirs leaves results as they are."""
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = (
+    "agents/knn/*.py",
+    "agents/navigation/*.py",
+    "agents/paper/*.py",
+    "cyclic_env/**/*.py",
+    "maps/*.yaml",
+)
+"""Files that results depend on: the explorer, the measurements, the environment, the floor plans."""
+SHOWING = (
+    *(f"agents/paper/{name}.py" for name in ("claims", "figures", "report", "reproduction")),
+    *(f"cyclic_env/{name}.py" for name in ("colours", "film", "play", "play_view", "plotting", "rendering")),
+)
+"""Of these, those that only show results: a change of theirs leaves results as they are."""
+LIBRARIES = ("numpy", "scipy", "numba", "pymunk", "shapely")
+"""Whose versions results depend on."""
 
 
 @lru_cache(maxsize=1)
 def code_version() -> str:
-    """Return the package's version and a hash of the sources that results depend on."""
-    digest = hashlib.sha256()
-    for folder in MEASURING:
-        for file in sorted((AGENTS / folder).iterdir()):
-            if file.suffix == ".py" and file.name not in SHOWING:
-                digest.update(file.name.encode() + b"\0" + file.read_bytes())
+    """Return the package's version and a hash of all that results depend on besides their settings."""
+    digest = hashlib.sha256(json.dumps({name: version(name) for name in LIBRARIES}).encode())
+    files = {file.relative_to(ROOT).as_posix(): file for pattern in SOURCES for file in ROOT.glob(pattern)}
+    for name, file in sorted(files.items()):
+        if name not in SHOWING:
+            digest.update(name.encode() + b"\0" + file.read_bytes())
     return f"{__version__}-{digest.hexdigest()[:12]}"
 
 
@@ -65,7 +76,8 @@ class Cache:
             return json.loads(file.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             result = work()
-            _replace(file, lambda new: new.write_text(json.dumps(result), encoding="utf-8"))
+            with whole_file(file) as part:
+                part.write_text(json.dumps(result), encoding="utf-8")
             return result
 
     def _run_file(self, settings: RunSettings) -> Path:
@@ -87,40 +99,35 @@ class Cache:
             with self._run_file(settings).open("rb") as file, np.load(file, allow_pickle=False) as data:
                 arrays = {name: data[name] for name in ARRAYS}
                 return RunRecord(metrics=json.loads(str(data["metrics"])), **arrays)
-        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error):
+        except Exception:  # a damaged file's bytes can be anything
             return None
 
     def save(self, settings: RunSettings, record: RunRecord) -> None:
         """Keep the record of a run."""
         values = {name: getattr(record, name) for name in ARRAYS} | {"metrics": np.array(json.dumps(record.metrics))}
-
-        def write(new: Path) -> None:
-            with new.open("wb") as file:
-                np.savez_compressed(file, **values)  # pyright: ignore[reportArgumentType]
-
-        _replace(self._run_file(settings), write)
+        with whole_file(self._run_file(settings)) as part:
+            np.savez_compressed(part, **values)  # pyright: ignore[reportArgumentType]
 
 
-def _replace(file: Path, write: Callable[[Path], Any]) -> None:
-    """Let a file be there as a whole, or not at all."""
-    new = file.with_name(f"{file.name}.{os.getpid()}.new")
-    try:
-        write(new)
-        new.replace(file)
-    finally:
-        new.unlink(missing_ok=True)
+def check_processes(processes: int) -> None:
+    """Check how many processes are wanted at once.
+
+    Raises
+    ------
+    ConfigError
+        If there are none, or more than this machine has cores.
+    """
+    most = max(2, os.cpu_count() or 1)
+    if not 1 <= processes <= most:
+        raise ConfigError(f"--processes is {processes}; expected 1 to {most}, for the cores of this machine.")
 
 
 def _run(folder: Path, settings: RunSettings) -> None:
     Cache(folder).record(settings)
 
 
-def _ignore_interrupts() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent sees to it
-
-
-def run_all(cache: Cache, runs: Sequence[RunSettings], processes: int) -> Iterator[int]:
-    """Run what is not in the cache yet, and yield after each how many of all are there.
+def run_all(cache: Cache, runs: Sequence[RunSettings], processes: int) -> Iterator[tuple[int, int]]:
+    """Run what is not in the cache yet, and yield after each how many of how many unlike runs are there.
 
     Parameters
     ----------
@@ -137,23 +144,26 @@ def run_all(cache: Cache, runs: Sequence[RunSettings], processes: int) -> Iterat
     unique = list({json.dumps(asdict(settings), sort_keys=True): settings for settings in runs}.values())
     left = [settings for settings in unique if cache.load(settings) is None]
     done = len(unique) - len(left)
-    yield done
+    yield done, len(unique)
     if processes == 1 or len(left) < 2:
         for settings in left:
             _run(cache.folder, settings)
             done += 1
-            yield done
+            yield done, len(unique)
         return
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(processes, mp_context=context, initializer=_ignore_interrupts)
+    pool = ProcessPoolExecutor(min(processes, len(left)), mp_context=multiprocessing.get_context("spawn"))
     try:
-        waiting = {pool.submit(_run, cache.folder, settings) for settings in left}
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: on Ctrl-C this process ends the others
+        try:
+            waiting = {pool.submit(_run, cache.folder, settings) for settings in left}
+        finally:
+            signal.signal(signal.SIGINT, handler)
         while waiting:
             ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             for future in ended:
                 future.result()
                 done += 1
-            yield done
+            yield done, len(unique)
         pool.shutdown()
     except BrokenProcessPool as error:
         raise CyclicLoopError("a process was ended from outside; run it again, with --processes 1 perhaps.") from error
@@ -161,3 +171,6 @@ def run_all(cache: Cache, runs: Sequence[RunSettings], processes: int) -> Iterat
         pool.shutdown(wait=False, cancel_futures=True)
         for child in multiprocessing.active_children():  # at once, if interrupted; else there are none
             child.terminate()
+            child.join()
+            for part in cache.folder.glob(f".*.{child.pid}.part.*"):
+                part.unlink(missing_ok=True)

@@ -25,6 +25,7 @@ from agents.paper.runs import BEAM_ROUNDING, RunRecord
 from agents.paper.sections import AGAIN, AGENTS, EXPLORER, SecondLap
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.plotting import add_legend, draw_claims, draw_groups, draw_open_areas, draw_path, plan_figure
+from cyclic_env.whole_file import whole_file
 
 DPI = 150
 SMALL_WIDTH, SMALL_COLOURS = 1000, 256
@@ -36,32 +37,43 @@ COLOURS = dict(
         strict=True,
     )
 )
-AGENT_COLOURS = dict(zip(AGENTS, ("#d43d2a", "#111111", "#3c82cd", "#e2780a"), strict=True))
+MARKERS = dict(zip(MEASURES, "osv^DPX*", strict=True))
+AGENT_STYLES: dict[str, dict[str, Any]] = {
+    agent: {"color": colour, "linestyle": line, "marker": marker, "markersize": size, "markerfacecolor": "none"}
+    for agent, colour, line, marker, size in zip(
+        AGENTS, ("#d43d2a", "#111111", "#3c82cd", "#e2780a"), ("-", "-", "--", ":"), "sDo^", (5, 9, 6, 4), strict=True
+    )
+}
+"""Told apart by their markers where colours are not, or lines lie on each other."""
+CROWDED = 45.0, 8.0
+"""Metres east and north between two marks within which the later one has its label below."""
 STEP = re.compile(r"^\s*# (Steps? .+)$", re.MULTILINE)
 """The comments of the explorer's code that name the paper's steps."""
 
 
 def save(figure: Figure, folder: Path, name: str) -> Path:
     """Write a figure into a folder, as PNG and as PDF; return the PNG."""
-    folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / f"{name}.pdf", metadata={"CreationDate": None})
-    figure.savefig(folder / f"{name}.png", dpi=DPI)
-    return folder / f"{name}.png"
+    picture = folder / f"{name}.png"
+    with whole_file(picture.with_suffix(".pdf")) as part:
+        figure.savefig(part, metadata={"CreationDate": None})
+    with whole_file(picture) as part:
+        figure.savefig(part, dpi=DPI)
+    return picture
 
 
-def write_small(picture: Path, path: Path) -> None:
-    """Write a picture again, small and of few colours, for the documentation."""
-    with Image.open(picture) as image:
+def write_small(picture: Path, path: Path) -> Path:
+    """Write a picture again, small and of few colours, for the documentation; return the file."""
+    with Image.open(picture) as image, whole_file(path) as part:
         scale = min(1.0, SMALL_WIDTH / image.width)
-        small = image.convert("RGB").resize(
-            (round(scale * image.width), round(scale * image.height)), Image.Resampling.LANCZOS
-        )
-        small.quantize(SMALL_COLOURS, dither=Image.Dither.NONE).save(path, optimize=True)
+        size = (round(scale * image.width), round(scale * image.height))
+        small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+        small.quantize(SMALL_COLOURS, dither=Image.Dither.NONE).save(part, optimize=True)
+    return path
 
 
 def building(plan: FloorPlan) -> Figure:
     """Return Figure 1: the building."""
-    title = f"{plan.cycles_total} cycles   {plan.free_area:,.0f} m2 of floor   {len(plan.walls):,} walls"
+    title = f"{plan.cycles_total} cycles   {plan.free_area:,.0f} m² of floor   {len(plan.walls):,} walls"
     figure, axes = plan_figure(plan, plan.title or plan.name, title)
     axes.plot(*plan.start[:2], marker="D", linestyle="", color="#111111", markersize=6, label="start")
     add_legend(axes)
@@ -80,7 +92,7 @@ def algorithm() -> Figure:
         *(step.rstrip(".") for step in algorithm_steps()),
         "Drive; claim the place if it is visited",
     ]
-    height = 0.85 * len(steps) + 0.6
+    height = 0.85 * len(steps) + 0.25
     figure = Figure((7.5, height))
     axes = figure.add_axes((0, 0, 1, 1))
     axes.set(xlim=(0, 7.5), ylim=(0, height))
@@ -90,7 +102,7 @@ def algorithm() -> Figure:
     for text, y in zip(steps, middles, strict=True):
         style = {"boxstyle": "round,pad=0.02", "facecolor": "#f3efe4", "edgecolor": "#333333", "linewidth": 1.0}
         axes.add_patch(FancyBboxPatch((left, y - box / 2), width, box, **style))
-        lines = "\n".join(textwrap.wrap(text, 68))
+        lines = "\n".join(textwrap.wrap(text, 62))
         axes.text(left + width / 2, y, lines, ha="center", va="center", fontsize=9)
     arrow = {"arrowstyle": "-|>", "color": "#333333", "linewidth": 1.0}
     for upper, lower in itertools.pairwise(middles):
@@ -100,7 +112,9 @@ def algorithm() -> Figure:
     axes.plot([left + width + 0.03, back, back], [middles[-1], middles[-1], middles[0]], color="#333333", linewidth=1.0)
     axes.annotate("", xy=(left + width + 0.03, middles[0]), xytext=(back, middles[0]), arrowprops=arrow)
     axes.text(back + 0.12, (middles[0] + middles[-1]) / 2, "next step, until the list is empty", rotation=90, **_MIDDLE)
-    axes.text(left - 0.35, (middles[2] + middles[3]) / 2, "at a new row", rotation=90, **_MIDDLE)
+    above, below = middles[2] + box / 2, middles[-2] - box / 2
+    axes.plot([left - 0.1, left - 0.2, left - 0.2, left - 0.1], [above, above, below, below], color="#333333")
+    axes.text(left - 0.4, (above + below) / 2, "at a new row, a metre on", rotation=90, **_MIDDLE)
     return figure
 
 
@@ -172,24 +186,21 @@ def _mark(axes: Axes, lap: SecondLap, found: Mapping[str, int]) -> None:
     by_row: dict[int, list[str]] = {}
     for name, row in found.items():
         by_row.setdefault(row, []).append(name)
+    middle, taken = sum(axes.get_xlim()) / 2, list[np.ndarray]()
     for row, names in by_row.items():
-        best = "cosine" in names
-        colour = "#d43d2a" if best else "#8c50a5"
-        label = "found by cosine" if best else None
-        axes.plot(*position[row], marker="X", markersize=9, linestyle="", color=colour, label=label, zorder=6)
-        text = ", ".join(names) if len(names) < 4 else ",\n".join(map(", ".join, _halves(names)))
+        x, y = position[row]
+        colour, label = ("#d43d2a", "found by cosine") if "cosine" in names else ("#8c50a5", None)
+        axes.plot(x, y, marker="X", markersize=9, linestyle="", color=colour, label=label, zorder=6)
+        crowded = any((np.abs(position[row] - other) < CROWDED).all() for other in taken)
+        taken.append(position[row])
+        side = {"xytext": (-9 if x > middle else 9, -16 if crowded else 9), "ha": "right" if x > middle else "left"}
         halo = [withStroke(linewidth=2, foreground="white")]
         style = {"textcoords": "offset points", "fontsize": 7.5, "color": colour, "path_effects": halo, "zorder": 8}
-        side = {"xytext": (-9, 9), "ha": "right"} if position[row, 0] > sum(axes.get_xlim()) / 2 else {"xytext": (9, 9)}
-        axes.annotate(text, position[row], **side, **style)
+        axes.annotate("\n".join(textwrap.wrap(", ".join(names), 36)), (x, y), **side, **style)
     if any("cosine" not in names for names in by_row.values()):
         axes.plot([], [], marker="X", markersize=9, linestyle="", color="#8c50a5", label="by other measures")
     style = {"marker": "D", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.8, "color": "#111111"}
     axes.plot(*position[lap.query], linestyle="", label="the robot", zorder=7, **style)
-
-
-def _halves(names: Sequence[str]) -> tuple[Sequence[str], Sequence[str]]:
-    return names[: len(names) // 2], names[len(names) // 2 :]
 
 
 def finished_run(plan: FloorPlan, record: RunRecord, title: str) -> Figure:
@@ -216,7 +227,7 @@ def finished_run(plan: FloorPlan, record: RunRecord, title: str) -> Figure:
 def recognition_curves(tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
     """Return curves of precision over recall of all measures: two vectors, rows as explored and driven again."""
     figure = Figure((10, 8), layout="constrained")
-    grid = figure.subplots(2, 2, sharex=True, sharey=True)
+    grid = figure.subplots(2, 2)
     for line, vectors in enumerate(VECTORS):
         for column, test in enumerate((EXPLORER, AGAIN)):
             axes = grid[line, column]
@@ -225,10 +236,12 @@ def recognition_curves(tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fig
                     continue
                 gated = entry["candidates"] == "same direction"
                 style = {"color": COLOURS[entry["measure"]], "linestyle": "-" if gated else ":", "linewidth": 1.3}
+                if gated:
+                    style |= {"marker": MARKERS[entry["measure"]], "markevery": 0.15, "markersize": 4.5}
                 label = entry["measure"] if gated else None
                 axes.plot(entry["curve"]["recall"], entry["curve"]["precision"], label=label, **style)
             axes.set_title(f"{vectors}, rows {test}", fontsize=10)
-            axes.set(xlim=(0, 1), ylim=(0, 1.02))
+            axes.set(xlim=(0, None), ylim=(0, None))
             axes.grid(linewidth=0.3)
     for axes in grid[1]:
         axes.set_xlabel("recall, of rows that return anywhere")
@@ -242,9 +255,9 @@ def recognition_curves(tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> Fig
 
 
 GROWTH = {
-    "points": ("all points", "#d43d2a"),
-    "direction": ("same direction", "#3c82cd"),
-    "groups": ("groups first", "#111111"),
+    "points": {"label": "all points", "color": "#d43d2a", "linestyle": "-"},
+    "direction": {"label": "same direction", "color": "#3c82cd", "linestyle": "--"},
+    "groups": {"label": "groups first", "color": "#111111", "linestyle": ":"},
 }
 BINS = 40
 
@@ -257,11 +270,11 @@ def growth(result: Mapping[str, Sequence[float]]) -> Figure:
     bins = np.linspace(0, path.max(), BINS + 1)
     middle = 0.5 * (bins[1:] + bins[:-1])
     which = np.clip(np.digitize(path, bins) - 1, 0, BINS - 1)
-    for name, (label, colour) in GROWTH.items():
+    for name, style in GROWTH.items():
         compared, seconds = np.array(result[name]), np.array(result[f"{name}_s"])
         there = np.unique(which)
-        axes.plot(middle[there], [compared[which == k].mean() for k in there], color=colour, label=label)
-        times.plot(middle[there], [1e6 * np.median(seconds[which == k]) for k in there], color=colour, label=label)
+        axes.plot(middle[there], [compared[which == k].mean() for k in there], **style)
+        times.plot(middle[there], [1e6 * np.median(seconds[which == k]) for k in there], **style)
     axes.set(xlabel="driven, km", ylabel="rows and centres compared for a query", yscale="log")
     times.set(xlabel="driven, km", ylabel="microseconds for a query (median)", ylim=(0, None))
     for each in (axes, times):
@@ -275,10 +288,10 @@ def noise(entries: Sequence[Mapping[str, Any]]) -> Figure:
     figure = Figure((10, 3.6), layout="constrained")
     panels = {"cycles_share": "share of cycles closed", "false_claims": "false claims a run", "recall": "recall"}
     for axes, (key, title) in zip(figure.subplots(1, 3), panels.items(), strict=True):
-        for agent, colour in AGENT_COLOURS.items():
+        for agent, style in AGENT_STYLES.items():
             mine = [entry for entry in entries if entry["agent"] == agent and entry["scale"] is not None]
             scales = [entry["scale"] for entry in mine]
-            axes.plot(scales, [entry[key] for entry in mine], "o-", color=colour, markersize=3.5, label=agent)
+            axes.plot(scales, [entry[key] for entry in mine], label=agent, clip_on=False, zorder=3, **style)
         axes.set(xlabel="noise, as a share of poor", ylabel=title)
         if key == "false_claims":
             axes.set_yscale("symlog", linthresh=1)
@@ -300,7 +313,9 @@ def measures(entries: Sequence[Mapping[str, Any]]) -> Figure:
             for k, entry in enumerate(mine):
                 span = [[entry["area"] - entry["area_low"]], [entry["area_high"] - entry["area"]]]
                 colour = COLOURS[entry["measure"]]
-                axes.errorbar(entry["area"], k, xerr=np.maximum(span, 0), fmt="o", color=colour, capsize=3)
+                axes.errorbar(
+                    entry["area"], k, xerr=np.maximum(span, 0), fmt=MARKERS[entry["measure"]], color=colour, capsize=3
+                )
             axes.set_yticks(range(len(mine)), [entry["measure"] for entry in mine])
             axes.set_title(f"{vectors}, rows {test}", fontsize=10)
             axes.set_xlim(0, None)

@@ -20,13 +20,16 @@ from agents.knn.detector import Detector
 from agents.knn.similarity import measure_by_name
 from agents.navigation.places import Places
 from agents.paper.runs import ELSEWHERE, RETURNS, RunRecord
+from cyclic_env.config import ClosureConfig
 
-GAP = 20.0
+GAP = ClosureConfig().gap
 """Metres driven since, as in the definition of a return."""
 VECTORS = ("7 sectors", "all beams")
+POINTS, SAME_DIRECTION, VOTE = "points", "same direction", "same direction, vote of 4"
+"""What a query is compared with: all rows, tables of its direction, and these by the explorer's own rule."""
 CURVE_POINTS = 150
 BOOTSTRAPS = 10_000
-"""Draws of runs with replacement, for an interval."""
+"""Draws of plans with replacement, for an interval."""
 
 
 def vectors_of(record: RunRecord, vectors: str) -> np.ndarray:
@@ -177,6 +180,12 @@ def answers_curve(answers: Answers) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return curve(answers.distance[certain], answers.outcome[certain] == RETURNS, answers.revisits)
 
 
+def f1_scores(precision: np.ndarray, recall: np.ndarray) -> np.ndarray:
+    """Return the harmonic means of precision and recall, `(m,)`; 0 where both are."""
+    both = precision + recall
+    return np.divide(2 * precision * recall, both, out=np.zeros_like(both), where=both > 0)
+
+
 def scores(precision: np.ndarray, recall: np.ndarray) -> dict[str, float]:
     """Return the area under a curve of precision over recall (average precision), its best F1, and recalls.
 
@@ -187,11 +196,9 @@ def scores(precision: np.ndarray, recall: np.ndarray) -> dict[str, float]:
     """
     if not len(precision):
         return {"area": 0.0, "f1": 0.0, "recall_100": 0.0, "recall_99": 0.0}
-    both = precision + recall
-    f1 = np.divide(2 * precision * recall, both, out=np.zeros_like(both), where=both > 0)
     return {
         "area": float((np.diff(recall, prepend=0.0) * precision).sum()),
-        "f1": float(f1.max()),
+        "f1": float(f1_scores(precision, recall).max()),
         "recall_100": float(recall[precision >= 1].max(initial=0.0)),
         "recall_99": float(recall[precision >= 0.99].max(initial=0.0)),
     }
@@ -209,27 +216,25 @@ def right_when_revisiting(answers: Answers) -> dict[str, float]:
 
 
 def bootstrap_means(values: np.ndarray, seed: int = 0) -> np.ndarray:
-    """Return means over draws of runs with replacement, the same draws for all measures.
+    """Return means over draws of plans with replacement, the same draws for all measures.
 
     Parameters
     ----------
-    values : (runs, measures)
+    values : (plans, measures)
     seed : int
 
     Returns
     -------
     (`BOOTSTRAPS`, measures) float64
     """
-    runs = len(values)
-    chosen = np.random.default_rng(seed).integers(0, runs, (BOOTSTRAPS, runs))
+    plans = len(values)
+    chosen = np.random.default_rng(seed).integers(0, plans, (BOOTSTRAPS, plans))
     return values[chosen].mean(axis=1)
 
 
 def kept_curve(precision: np.ndarray, recall: np.ndarray) -> dict[str, list[float]]:
     """Return a curve of at most `CURVE_POINTS` points, as plain lists."""
-    keep = (
-        np.unique(np.linspace(0, len(recall) - 1, CURVE_POINTS).astype(int)) if len(recall) else np.zeros(0, np.int64)
-    )
+    keep = np.unique(np.linspace(0, len(recall) - 1, min(CURVE_POINTS, len(recall))).astype(int))
     return {"precision": precision[keep].tolist(), "recall": recall[keep].tolist()}
 
 
@@ -241,7 +246,7 @@ def summary(record: RunRecord, measure: str, vectors: str, *, same_direction: bo
     return {
         "measure": measure,
         "vectors": vectors,
-        "candidates": "same direction" if same_direction else "points",
+        "candidates": SAME_DIRECTION if same_direction else POINTS,
         **scores(precision, recall),
         **right_when_revisiting(answers),
         **{f"pairs_{name}": value for name, value in scores(pair_precision, pair_recall).items()},
@@ -257,7 +262,7 @@ def vote_summary(record: RunRecord, measure: str) -> dict[str, Any]:
     return {
         "measure": measure,
         "vectors": VECTORS[0],
-        "candidates": "same direction, vote of 4",
+        "candidates": VOTE,
         **scores(precision, recall),
         **right_when_revisiting(answers),
     }

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 import csv
-import math
 import platform
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-import numba
-import numpy as np
-import scipy
-
 from agents.knn.similarity import MEASURES
 from agents.paper import figures
-from agents.paper.cache import Cache, code_version, run_all
-from agents.paper.report import Results, report_text
+from agents.paper.cache import LIBRARIES, Cache, code_version, run_all
+from agents.paper.report import report_text
+from agents.paper.results import Results
 from agents.paper.runs import drive_again
 from agents.paper.sections import (
     GOLDEN,
     Scope,
+    SecondLap,
     all_runs,
     building_run,
     measures_compared,
@@ -36,18 +34,8 @@ from agents.paper.sections import (
 from agents.paper.timing import comparison_times, search_growth
 from cyclic_env import __version__
 from cyclic_env.floor_plans import load_floor_plan
+from cyclic_env.whole_file import whole_file
 
-IN_DOCS = (
-    "figure_2_algorithm",
-    "figure_4_similarity_alone",
-    "figure_5_indicators_and_vote",
-    "figure_6_extended",
-    "recognition",
-    "growth",
-    "noise",
-    "measures",
-)
-"""Figures that the documentation shows."""
 EVERY = 5
 """Rows between two queries of the growth of the search."""
 
@@ -73,22 +61,21 @@ class Reproduction:
 
     def run(self) -> list[Path]:
         """Reproduce it, and return the files written. What has been worked out before is taken from the cache."""
-        cache = Cache(self.folder / "cache")
-        for name, runs in all_runs(self.scope).items():
-            for done in run_all(cache, runs, self.processes):
-                self.tick(f"{name}: {done} of {len(runs)} runs")
-        results = self.results(cache)
-        pictures = self._draw(cache, results)
-        tables = self._write_tables(results)
-        text = report_text(results, {name: f"{name}.png" for name in pictures})
-        report = self.folder / "report.md"
-        report.write_text(text, encoding="utf-8")
-        written = [report, *pictures.values(), *tables]
+        cache, runs = Cache(self.folder / "cache"), all_runs(self.scope)
+        for done, count in run_all(cache, runs, self.processes):
+            self.tick(f"{done} of {count} runs")
+        lap = second_lap(cache, self.scope)
+        results = self.results(cache, lap)
+        self.tick("figures and tables")
+        pictures = self._draw(cache, results, lap)
+        written = [write_text(self.folder / "report.md", report_text(results)), *pictures, *self._write_tables(results)]
         if self.docs is not None:
-            written += self._write_docs(self.docs, results, pictures)
+            (self.docs / "paper").mkdir(parents=True, exist_ok=True)
+            written.append(write_text(self.docs / "paper.md", report_text(results, "paper/")))
+            written += [figures.write_small(path, self.docs / "paper" / path.name) for path in pictures]
         return written
 
-    def results(self, cache: Cache) -> Results:
+    def results(self, cache: Cache, lap: SecondLap) -> Results:
         """Return all numbers of the report, the slow ones from the cache if they are there."""
         scope, tick = self.scope, self.tick
         settings = asdict(scope)
@@ -103,17 +90,13 @@ class Reproduction:
         tick("growth of the search")
         growth = cache.result("growth", settings, grown)
         recognised = cache.result("recognition", settings, lambda: recognition(cache, scope, tick))
-        compared = cache.result("measures", settings, lambda: measures_compared(cache, scope, tick))
-        lap = second_lap(cache, scope)
         return Results(
             scope=scope,
             versions={
                 "cyclic-loop": __version__,
                 "code": code_version(),
                 "Python": platform.python_version(),
-                "NumPy": np.__version__,
-                "SciPy": scipy.__version__,
-                "numba": numba.__version__,
+                **{name: version(name) for name in LIBRARIES},
             },
             golden={name: measure.distance(*GOLDEN) for name, measure in MEASURES.items()},
             recognition=recognised,
@@ -135,20 +118,19 @@ class Reproduction:
             ],
             reaches=[{"reach_m": reach} | outcome([cache.record(run)]) for reach, run in reach_runs(scope).items()],
             noise=[
-                {"agent": agent, "noise": noise, "scale": _scale(noise), "runs": len(runs)}
+                {"agent": agent, "noise": noise, "scale": runs[0].noise_scale if runs[0].noise == "poor" else None}
+                | {"runs": len(runs)}
                 | outcome([cache.record(run) for run in runs])
                 for (agent, noise), runs in noise_runs(scope).items()
             ],
-            measures=compared,
+            measures=measures_compared(cache, scope, tick),
         )
 
-    def _draw(self, cache: Cache, results: Results) -> dict[str, Path]:
-        """Write all figures; return the files by name."""
-        self.tick("figures")
+    def _draw(self, cache: Cache, results: Results, lap: SecondLap) -> list[Path]:
+        """Write all figures; return the files."""
         plan = load_floor_plan(self.scope.building)
         runs = {name: building_run(self.scope, name) for name in ("extended", "paper")}
         records = {name: cache.record(run) for name, run in runs.items()}
-        lap = second_lap(cache, self.scope)
         drawn = {
             "figure_1_building": figures.building(plan),
             "figure_2_algorithm": figures.algorithm(),
@@ -162,7 +144,7 @@ class Reproduction:
             "noise": figures.noise(results.noise),
             "measures": figures.measures(results.measures),
         }
-        return {name: figures.save(figure, self.folder, name) for name, figure in drawn.items()}
+        return [figures.save(figure, self.folder, name) for name, figure in drawn.items()]
 
     def _write_tables(self, results: Results) -> list[Path]:
         recognised = [
@@ -202,31 +184,21 @@ class Reproduction:
         }
         return [write_csv(self.folder / f"{name}.csv", rows) for name, rows in tables.items()]
 
-    def _write_docs(self, docs: Path, results: Results, pictures: Mapping[str, Path]) -> list[Path]:
-        folder = docs / "paper"
-        folder.mkdir(parents=True, exist_ok=True)
-        shown = {name: folder / f"{name}.png" for name in IN_DOCS}
-        for name, path in shown.items():
-            figures.write_small(pictures[name], path)
-        page = docs / "paper.md"
-        text = report_text(results, {name: f"paper/{path.name}" for name, path in shown.items()})
-        page.write_text(text, encoding="utf-8")
-        return [page, *shown.values()]
 
-
-def _scale(noise: str) -> float | None:
-    """Return the factor in a noise's name; None for a preset."""
-    return float(noise.split()[0]) if noise.endswith("x poor") else None
+def write_text(path: Path, text: str) -> Path:
+    """Write a text as a whole, or not at all; return the file."""
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
+    return path
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:
-    """Write rows with the same keys as a table; numbers that are none stay empty."""
-    with path.open("w", encoding="utf-8", newline="") as file:
-        names = list(dict.fromkeys(key for row in rows for key in row))
-        writer = csv.DictWriter(file, names)
+    """Write rows with the same keys as a table, NaN as nothing; return the file."""
+    with whole_file(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, list(dict.fromkeys(key for row in rows for key in row)))
         writer.writeheader()
         for row in rows:
             writer.writerow(
-                {key: "" if isinstance(value, float) and math.isnan(value) else value for key, value in row.items()}
-            )
+                {key: "" if value != value else value for key, value in row.items()}
+            )  # NaN alone is not itself
     return path

@@ -18,6 +18,7 @@ from cyclic_env.env import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.floor_plans.wall_tiles import build_wall_tiles
 from cyclic_env.loop_closure import in_sight
+from cyclic_env.trajectories import ate
 
 RETURNS, ELSEWHERE, NEITHER = 1, 0, -1
 """Of a row and an earlier one: a claim would be right, false, or ignored for want of gap or leave (near, in sight)."""
@@ -126,13 +127,11 @@ def run_explorer(settings: RunSettings) -> RunRecord:
     metrics = {
         **{name: value for name, value in info.items() if name != "reward_terms"},
         "return": total,
-        "steps": memory.steps,
         "ending": ending,
         "tours": None if math.isnan(tour) else info["path_length_m"] / tour,
         "groups": len(memory.groups),
         "group_names": [group.name for group in memory.groups],
         "rows": memory.places.count,
-        "compared": memory.detector.compared,
         "areas": len(memory.areas.listed),
         "area_states": [area.state for area in memory.areas.listed],
         "dead_reckoning_rms_m": _rms(memory.places.odometry, memory.places.step, env.trajectory()),
@@ -145,8 +144,7 @@ def run_explorer(settings: RunSettings) -> RunRecord:
 
 def _rms(estimated: np.ndarray, steps: np.ndarray, way: np.ndarray) -> float:
     """Return how far positions `(n, 2+)` in the frame of the start are off the true way at their steps, rms, metres."""
-    off = estimated[:, :2] - (way[steps, :2] - way[0, :2])
-    return float(np.sqrt((off**2).sum(axis=1).mean())) if len(off) else 0.0
+    return ate(estimated[:, :2], way[steps, :2] - way[0, :2]) if len(steps) else 0.0
 
 
 def _record(env: CyclicLoopEnv, memory: Memory, metrics: dict[str, Any], headings: np.ndarray) -> RunRecord:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -196,14 +197,15 @@ def building_run(scope: Scope, preset: str) -> RunSettings:
     return RunSettings(map=scope.building, preset=preset)
 
 
-def all_runs(scope: Scope) -> dict[str, list[RunSettings]]:
-    """Return all runs of a report, by what they are for."""
-    return {
-        "finished run": [building_run(scope, preset) for preset in ("extended", "paper")],
-        "presets": [run for runs in preset_runs(scope).values() for run in runs],
-        "ambiguities": [*varied_runs(scope).values(), *reach_runs(scope).values()],
-        "noise": [run for runs in noise_runs(scope).values() for run in runs],
-    }
+def all_runs(scope: Scope) -> list[RunSettings]:
+    """Return all runs of a report; some are in it several times."""
+    return [
+        *(building_run(scope, preset) for preset in ("extended", "paper")),
+        *itertools.chain(*preset_runs(scope).values()),
+        *varied_runs(scope).values(),
+        *reach_runs(scope).values(),
+        *itertools.chain(*noise_runs(scope).values()),
+    ]
 
 
 # 1. Table 1, and what it can't show.
@@ -307,38 +309,55 @@ def second_lap(cache: Cache, scope: Scope) -> SecondLap:
 
 
 def measures_compared(cache: Cache, scope: Scope, tick: Callable[[str], None]) -> list[dict[str, Any]]:
-    """Return mean scores of all measures over runs, with intervals of the area and its difference from cosine's."""
-    runs, names = explored_runs(scope), list(MEASURES)
-    cells = [(rows, vectors) for rows in (EXPLORER, AGAIN) for vectors in VECTORS]
-    values: dict[tuple[str, str, str], list[dict[str, float]]] = {(*cell, name): [] for cell in cells for name in names}
-    for number, settings in enumerate(runs):
+    """Return mean scores of all measures over plans, with intervals of the area and its difference from cosine's.
+
+    The runs of one plan are alike, so a plan counts as one: its scores are the means of its runs'.
+    """
+    runs, names, cells = explored_runs(scope), list(MEASURES), list(itertools.product((EXPLORER, AGAIN), VECTORS))
+    by_plan: dict[str, list[dict[str, dict[str, float]]]] = {}
+    for number, run in enumerate(runs):
         tick(f"measures: run {number + 1} of {len(runs)}")
-        record = cache.record(settings)
-        tests = {EXPLORER: record, AGAIN: drive_again(record, settings, 2, noise=settings.noise, seed=settings.seed)}
-        for (rows, vectors, name), column in values.items():
-            answers, _ = ask(tests[rows], name, vectors, same_direction=True)
-            if answers.revisits:
-                column.append(scores(*answers_curve(answers)[1:]))
+        scored = cache.result("scores", asdict(run), lambda run=run: run_scores(cache, run))
+        by_plan.setdefault(run.map, []).append(scored)
     entries = []
     for rows, vectors in cells:
-        areas = np.array([[run["area"] for run in values[rows, vectors, name]] for name in names]).T
+        plans: dict[str, list[dict[str, float]]] = {}
+        for name in names:
+            key = f"{rows}, {vectors}, {name}"
+            of_plans = [[run[key] for run in several if key in run] for several in by_plan.values()]
+            plans[name] = [_means(several) for several in of_plans if several]
+        areas = np.array([[plan["area"] for plan in plans[name]] for name in names]).T
         drawn = bootstrap_means(areas)
         over = drawn - drawn[:, [names.index("cosine")]]
         for k, name in enumerate(names):
-            column = values[rows, vectors, name]
-            entry = {"rows": rows, "vectors": vectors, "measure": name, "runs": len(column)}
-            entry |= {key: float(np.mean([run[key] for run in column])) for key in column[0]}
+            entry = {"rows": rows, "vectors": vectors, "measure": name, "plans": len(areas), **_means(plans[name])}
             entry["area_low"], entry["area_high"] = np.percentile(drawn[:, k], (2.5, 97.5)).tolist()
             entry["over_cosine_low"], entry["over_cosine_high"] = np.percentile(over[:, k], (2.5, 97.5)).tolist()
             entries.append(entry)
     return entries
 
 
+def run_scores(cache: Cache, settings: RunSettings) -> dict[str, dict[str, float]]:
+    """Return the scores of a run by rows, vectors and measure: as explored and driven again; none if no row returns."""
+    record = cache.record(settings)
+    tests = {EXPLORER: record, AGAIN: drive_again(record, settings, 2, noise=settings.noise, seed=settings.seed)}
+    result = {}
+    for (rows, test), vectors, name in itertools.product(tests.items(), VECTORS, MEASURES):
+        answers, _ = ask(test, name, vectors, same_direction=True)
+        if answers.revisits:
+            result[f"{rows}, {vectors}, {name}"] = scores(*answers_curve(answers)[1:])
+    return result
+
+
+def _means(several: Sequence[dict[str, float]]) -> dict[str, float]:
+    return {key: float(np.mean([one[key] for one in several])) for key in several[0]}
+
+
 # Runs in tables.
 
 
 def outcome(records: Sequence[RunRecord]) -> dict[str, float]:
-    """Return means over runs, with Student's 95 % intervals of the three that lead; NaN where there is none."""
+    """Return means over runs, with Student's 95 % intervals of the two that lead; NaN where there is none."""
     values = {
         "cycles": [r.metrics["cycles_closed"] for r in records],
         "cycles_share": [r.metrics["cycles_closed"] / max(r.metrics["cycles_total"], 1) for r in records],
@@ -356,7 +375,8 @@ def outcome(records: Sequence[RunRecord]) -> dict[str, float]:
     wrong, settled = (sum(r.metrics[name] for r in records) for name in ("false_claims", "revisits"))
     result["precision"] = recognised / (recognised + wrong) if recognised + wrong else math.nan
     result["recall"] = recognised / settled if settled else math.nan
-    for name in ("cycles_share", "false_claims"):
-        result[f"{name}_low"], result[f"{name}_high"] = mean_interval(np.array(values[name], float))
+    for name, most in (("cycles_share", 1.0), ("false_claims", math.inf)):
+        low, high = mean_interval(np.array(values[name], float))
+        result[f"{name}_low"], result[f"{name}_high"] = max(low, 0.0), min(high, most)  # a NaN stays
     result["cycles_total"] = float(np.mean([r.metrics["cycles_total"] for r in records]))
     return result

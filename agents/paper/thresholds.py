@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from agents.knn.similarity import MEASURES
-from agents.paper.recognition import Answers, answers_curve, pooled_answers, scores, vote
+from agents.paper.recognition import Answers, answers_curve, f1_scores, pooled_answers, scores, vote
 from agents.paper.runs import RunRecord, RunSettings
 
 NOISES = ("ideal", "calibrated")
@@ -40,8 +40,7 @@ def calibrate(records: Sequence[RunRecord]) -> dict[str, dict[str, float]]:
 
 def _best(answers: Answers) -> dict[str, float]:
     distance, precision, recall = answers_curve(answers)
-    both = precision + recall
-    f1 = np.divide(2 * precision * recall, both, out=np.zeros_like(both), where=both > 0)
+    f1 = f1_scores(precision, recall)
     best, surest = int(np.argmax(f1)), int(np.argmax(precision))
     # Between the last answer that is taken and the first that is not; "above the threshold" is the rule.
     beyond = distance[best + 1] if best + 1 < len(distance) else distance[best] + 10.0**-DIGITS

@@ -11,12 +11,13 @@ import numpy as np
 
 from agents.knn.similarity import MEASURES, Measure, measure_by_name
 from agents.paper.runs import RunRecord
+from cyclic_env.config import ClosureConfig
 
 ROWS = 10_000
 """That one query is compared with at once: a run of 10 km."""
 FIRST_GROUPS = 4
 """Groups whose rows are looked into, if groups come first: as many as rows that vote."""
-NEAR = 3.0
+NEAR = ClosureConfig().return_radius
 """Metres between two rows of one place, as in the definition of a return."""
 SKLEARN = ("euclidean", "cityblock", "chebyshev", "cosine", "correlation")
 """Measures that scikit-learn's brute-force neighbours know by the same definition."""
