@@ -150,7 +150,7 @@ class Detector:
             expected = relative(places.pose[row], track.pose)
             expected[:2] /= max(1.0, math.hypot(expected[0], expected[1]))  # near the row, whatever the track says
             expected = compose(places.pose[row], expected)
-            m = match(places, row, places.scan[-1], expected, SPREAD, self.config.range_max)
+            m = match(places, row, places.scan[-1], places.ends[-1], expected, SPREAD, self.config.range_max)
             if (
                 m.agreement > track.agreement - AGREES_LESS
                 and m.seen > ENDS

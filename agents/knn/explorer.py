@@ -16,7 +16,7 @@ from agents.navigation.pilot import Pilot
 from agents.navigation.places import Places
 from agents.navigation.poses import compose, distances, relative, wrap_all
 from agents.navigation.scan_matching import wall_lines
-from agents.navigation.scans import confirm, despeckle, fill, inside
+from agents.navigation.scans import confirm, despeckle, fill, inside, sound_ends
 from agents.navigation.track import Track
 from agents.scripted import MATCH_START, drive_actions
 from cyclic_env.config import ACTION_TYPES, ActionType, checked_name
@@ -198,13 +198,15 @@ class KnnExplorer:
             confirm(memory.scans[0], track.pose, memory.scans[earlier], memory.poses[earlier], confirmed)
         fill(memory.scans[0], confirmed, scan)
         memory.scans[0] = scan
-        track.localise(places, scan, memory.lengths)
+        ends = sound_ends(scan, memory.measured[0], self.config.range_max)
+        track.localise(places, scan, ends, memory.lengths)
         lines = np.empty((len(scan), 3))
-        wall_lines(scan, self.config.range_max, lines)
+        wall_lines(ends, self.config.range_max, lines)
         row = places.add(
             pose=track.pose,
             odometry=track.odometry,
             scan=scan,
+            ends=ends,
             lines=lines,
             features=sector_features(scan, self.config.sectors, self.config.rounding),
             compass=track.compass,

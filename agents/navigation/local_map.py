@@ -17,7 +17,8 @@ CLEARANCE = 0.28
 """Metres between the centres of a cell that the robot may be in and one with a wall."""
 COMFORT = 0.7
 """Metres from walls up to which a way costs more, so that it keeps to the middle."""
-
+DRIVEN_COST = 3.0
+"""Of a metre where the robot has been, whatever scans say of walls there: it always knows the way that it came."""
 NEAR = 0.7
 """Metres from a point to the end of a way to it: the point may be by a wall."""
 
@@ -67,6 +68,19 @@ def classify(passes, ends, cost):
                         cost[a, b] = math.inf
                     elif distance < COMFORT:
                         cost[a, b] = max(cost[a, b], 1.0 + 1.5 * (COMFORT - distance) / COMFORT)
+
+
+@compiled
+def clear_driven(legs, left, bottom, cost):
+    """Let the robot be, in `cost`, wherever it has driven: on straight legs `(n, 2, 2)`, metres in the track's frame."""
+    for k in range(legs.shape[0]):
+        x, y = (legs[k, 0, 0] - left) / CELL, (legs[k, 0, 1] - bottom) / CELL
+        dx, dy = (legs[k, 1, 0] - legs[k, 0, 0]) / CELL, (legs[k, 1, 1] - legs[k, 0, 1]) / CELL
+        steps = int(2 * math.sqrt(dx * dx + dy * dy)) + 1
+        for step in range(steps + 1):
+            i, j = math.floor(y + dy * step / steps), math.floor(x + dx * step / steps)
+            if 0 <= i < CELLS and 0 <= j < CELLS:
+                cost[i, j] = min(cost[i, j], DRIVEN_COST)
 
 
 @compiled
@@ -137,14 +151,15 @@ class LocalMap:
         self._waiting = np.zeros((CELLS, CELLS), np.bool_)
         self._left = self._bottom = 0.0
 
-    def draw(self, pose, scans, poses, range_max: float) -> None:
-        """Draw scans `(n, beams)` taken at poses `(n, 3)` around a pose, and spread ways from it."""
+    def draw(self, pose, scans, poses, legs, range_max: float) -> None:
+        """Draw scans `(n, beams)` taken at poses `(n, 3)`, and driven legs, around a pose; spread ways from it."""
         self._left, self._bottom = pose[0] - CELLS * CELL / 2, pose[1] - CELLS * CELL / 2
         self._passes[:] = 0
         self._ends[:] = 0
         for scan, (x, y, heading) in zip(scans, poses, strict=True):
             draw_scan(scan, range_max, x, y, heading, self._left, self._bottom, self._passes, self._ends)
         classify(self._passes, self._ends, self._cost)
+        clear_driven(legs, self._left, self._bottom, self._cost)
         middle = CELLS // 2
         spread_ways(self._cost, middle, middle, self._lengths, self._before, self._queue, self._waiting)
 

@@ -113,15 +113,28 @@ class Pilot:
         if self._local:
             self.way = self._map.way_to(int(ends[best]))
         else:
-            self.way = np.vstack([places.pose[route(before, int(areas.place[best])), :2], goal])
+            self.way = self._way_along(np.vstack([places.pose[route(before, int(areas.place[best])), :2], goal]))
+
+    def _way_along(self, spots: np.ndarray) -> np.ndarray:
+        """Return the way `(m, 2)` along places `(n, 2)`, over the local map as far as it goes."""
+        driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(spots, axis=0).T))])
+        costs, ends = self._map.ways_to(spots)
+        on_map = np.flatnonzero((driven < MAP_REACH) & np.isfinite(costs))
+        if not len(on_map):
+            return spots
+        return np.vstack([self._map.way_to(int(ends[on_map[-1]])), spots[on_map[-1] + 1 :]])
 
     def _draw(
         self, pose: np.ndarray, scan: np.ndarray, places: Places, range_max: float, lengths: np.ndarray
     ) -> LocalMap:
         away = distances(places.pose, pose)
         near = np.flatnonzero((away < MAP_REACH) & (lengths <= away + DETOUR))
+        spots = np.vstack([places.pose[:, :2], pose[:2]])
+        legs = np.stack([spots[near], spots[near + 1]], axis=1)
         near = near[np.argsort(away[near], kind="stable")][: 2 * MAP_SCANS : 2]
-        self._map.draw(pose, np.vstack([scan, places.scan[near]]), np.vstack([pose, places.pose[near]]), range_max)
+        self._map.draw(
+            pose, np.vstack([scan, places.scan[near]]), np.vstack([pose, places.pose[near]]), legs, range_max
+        )
         return self._map
 
     def arrives(self, pose: np.ndarray) -> bool:

@@ -76,8 +76,10 @@ class Places:
     odometry : (n, 2) float64
         Where dead reckoning alone would put it.
     scan : (n, beams) float64
+    ends : (n, beams) float64
+        Those of the scan that are on walls as measured; see `sound_ends`.
     lines : (n, beams, 3) float64
-        Of the walls at the scan's ends; see `wall_lines`.
+        Of the walls at these ends; see `wall_lines`.
     features : (n, 2, sectors) float64
         Ahead and back; see `sector_features`.
     compass : (n,) float64
@@ -90,6 +92,7 @@ class Places:
     pose: np.ndarray
     odometry: np.ndarray
     scan: np.ndarray
+    ends: np.ndarray
     lines: np.ndarray
     features: np.ndarray
     compass: np.ndarray
@@ -108,6 +111,7 @@ class Places:
             "pose": np.zeros((CAPACITY, 3)),
             "odometry": np.zeros((CAPACITY, 2)),
             "scan": np.zeros((CAPACITY, beams)),
+            "ends": np.zeros((CAPACITY, beams)),
             "lines": np.zeros((CAPACITY, beams, 3)),
             "features": np.zeros((CAPACITY, 2, sectors)),
             "compass": np.zeros(CAPACITY),

@@ -238,13 +238,30 @@ class Match:
 
 
 def match(
-    places: Places, place: int, scan: np.ndarray, expected: np.ndarray, spread: np.ndarray, range_max: float
+    places: Places,
+    place: int,
+    scan: np.ndarray,
+    ends: np.ndarray,
+    expected: np.ndarray,
+    spread: np.ndarray,
+    range_max: float,
 ) -> Match:
-    """Match a scan `(beams,)`, expected at a pose `(3,)` of the track give or take `spread` `(3,)`, with a place's."""
+    """Match a scan with a place's.
+
+    Parameters
+    ----------
+    places : Places
+    place : int
+    scan, ends : (beams,)
+        The scan, and its `sound_ends`.
+    expected, spread : (3,)
+        Where it is expected to have been taken, in the frame of the track, and standard deviations of that.
+    range_max : float
+    """
     prior = relative(places.pose[place], expected)
     pose, hessian = np.empty(3), np.empty((3, 3))
     reference, lines = places.scan[place], places.lines[place]
-    align(reference, lines, scan, range_max, prior, spread, pose, hessian)
+    align(reference, lines, ends, range_max, prior, spread, pose, hessian)
     there, seen = agreement(reference, scan, range_max, pose, TOLERANCE)
     back, seen_back = agreement(scan, reference, range_max, relative(pose, np.zeros(3)), TOLERANCE)
     return Match(

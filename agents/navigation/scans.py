@@ -31,6 +31,9 @@ FIRM, DOUBTFUL, UNBOUNDED, UNCONFIRMED = 0, 1, 2, 3
 these that too few scans see through to."""
 CONFIRM = 0.4
 """Metres."""
+SOUND, SOUND_NOISE = 0.02, 2.5
+"""Metres by which an end may be moved from where it was measured, and how many times as far as the lower three quarters of all
+are: noise moves them, too."""
 OFF_WALL = 0.15
 """Metres: what is less off a wall's line is on it."""
 
@@ -99,6 +102,16 @@ def fill(ranges, confirmed, out):
                     ranges[before] if confirmed[before] else math.inf, ranges[after] if confirmed[after] else math.inf
                 )
                 break
+
+
+def sound_ends(scan: np.ndarray, measured: np.ndarray, range_max: float) -> np.ndarray:
+    """Return the ranges `(beams,)` of a scan whose ends lie on walls as measured; `range_max` for all others.
+
+    What takes the speckle out of a scan also rounds the corners that it sees, by more than noise: ends that it has
+    moved would pull at a match, back to where the other scan was taken.
+    """
+    moved = np.abs(scan - measured)
+    return np.where(moved > SOUND + SOUND_NOISE * np.quantile(moved, 0.75), range_max, scan)
 
 
 @compiled

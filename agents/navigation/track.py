@@ -33,8 +33,10 @@ FIELD_REACH = 100.0
 """By so much less does each reading of the compass tell than its noise says: its field is alike over metres."""
 SCALE_SPREAD, SLIP = 0.03, 0.03
 """Of the distance meter: its scale's deviation from 1 before anything is known, and metres of slip at each metre."""
-SCALE_ENDS, SCALE_DRIVEN = 2.0, 0.5
-"""Ends that speak for the way driven, and metres of it, from which a match tells the scale."""
+SCALE_ENDS, SCALE_DRIVEN, SCALE_TURN = 2.0, 0.5, 0.2
+"""Ends that speak for the way driven, and metres of it, from which a match tells the scale, and radians turned up to which."""
+SCALE_OFF = 0.02
+"""By which one match may call for another scale, beyond what is not known of it: some are far off, and find the way too short."""
 TENSION = 0.5
 """Metres by which returns have pulled at the track before it is spread over the places in between."""
 
@@ -108,13 +110,14 @@ class Track:
         self.pose[2] = wrap(heading + self._bias)
         self.path += abs(driven)
 
-    def localise(self, places: Places, scan: np.ndarray, lengths: np.ndarray) -> None:
+    def localise(self, places: Places, scan: np.ndarray, ends: np.ndarray, lengths: np.ndarray) -> None:
         """Match a scan with the oldest place close by, or the last one, before the robot's place is added.
 
         Parameters
         ----------
         places : Places
-        scan : (beams,)
+        scan, ends : (beams,)
+            The scan, and its `sound_ends`.
         lengths : (n,)
             Of the ways from the last place, metres.
         """
@@ -125,14 +128,14 @@ class Track:
         odometry = relative(places.pose[last], expected)
         known = np.flatnonzero((distances(places.pose, expected) < 2.0) & (lengths < 8.0))
         if len(known) and known[0] < last - 4:
-            found = match(places, known[0], scan, expected, RETURN_SPREAD, self.range_max)
+            found = match(places, known[0], scan, ends, expected, RETURN_SPREAD, self.range_max)
             if self._fits(found):
                 self._add_edge(last, places.count, odometry, np.diag(STEP_SPREAD**-2))
                 self._add_edge(known[0], places.count, found.relative, found.information)
                 self._tension += found.pose[:2] - expected[:2]
                 self._move(found.pose)
                 return
-        found = match(places, last, scan, expected, STEP_SPREAD, self.range_max)
+        found = match(places, last, scan, ends, expected, STEP_SPREAD, self.range_max)
         self.agreement += (found.agreement - self.agreement) / min(MEMORY, last + 1)
         if self._fits(found):
             turned = wrap(self.compass - places.compass[last] - found.relative[2])
@@ -150,7 +153,7 @@ class Track:
     def _learn_scale(self, odometry: np.ndarray, found: Match) -> None:
         """Weigh what a match with the last place says of the distance meter's scale; see `SCALE_SPREAD`."""
         driven = math.hypot(odometry[0], odometry[1])
-        if driven < SCALE_DRIVEN:
+        if driven < SCALE_DRIVEN or abs(found.relative[2]) > SCALE_TURN:
             return
         # Without the prior: that pulled at the match by as much as the ends did the other way.
         covariance = np.linalg.inv(found.information + 1e-3 * np.eye(3))
@@ -160,9 +163,10 @@ class Track:
         if variance > SPREAD**2 / SCALE_ENDS:
             return
         information = (driven / self.scale) ** 2 / (variance + SHIFT_ERROR**2 + SLIP**2 * driven)
+        off = self.scale * (along @ free) / driven - self.scale
+        most = math.sqrt(SCALE_OFF**2 + 1 / self._scale_information)
         self._scale_information += information
-        measured = self.scale * (along @ free) / driven
-        self.scale += information / self._scale_information * (measured - self.scale)
+        self.scale += information / self._scale_information * max(-most, min(most, off))
 
     def _fits(self, found: Match) -> bool:
         off = math.hypot(*(found.pose[:2] - self.pose[:2]))
