@@ -27,7 +27,8 @@ from cyclic_env.floor_plans.occupancy import OccupancyGrid
 
 ENCLOSED_SHARE = 0.1
 """A region that the image's edge does not cut is preferred to a larger one that it does cut, such as the paper around
-a drawing, down to this share of its area."""
+a drawing, down to this share of its area; and one with more walls to a larger one around it, such as the paper in a
+drawing's frame."""
 
 CLEARANCE = 0.5
 """Cells between the robot and the centre of the nearest wall cell, at least: half of one keeps it off its side."""
@@ -38,6 +39,9 @@ that simplified walls may narrow too far: each wall by the tolerance, and by a c
 
 LONE_SHARE = 0.25
 """Share of the size of a speck from which one alone may hold two places apart."""
+
+DECIMALS = 6
+"""Of coordinates in metres, as files have them: rounded later, a wall that passes another closely might touch it."""
 
 HEADINGS = 72
 """Among which the start's is chosen."""
@@ -138,7 +142,7 @@ def trace_floor_plan(
         outline = _outline(space, corner)
         dropped = side**2 * int(np.count_nonzero(free) - np.count_nonzero(space))
         for share in (1.0, 0.5):
-            polygon = shapely.transform(_simplified(outline, share * tolerance / side), grid.to_world)
+            polygon = _simplified(outline, share * tolerance / side, grid)
             try:
                 plan = _plan(grid, polygon, start)
                 home = plan.reachable(robot_radius)
@@ -212,7 +216,7 @@ def _centres(
             or box[1].stop + corner[1] > columns
             for box in ndimage.find_objects(labels)
         ]
-        return labels == 1 + np.argmax(np.where(cut, ENCLOSED_SHARE, 1.0) * sizes)
+        return labels == _building(labels, np.where(cut, ENCLOSED_SHARE, 1.0) * sizes)
     column, row = np.floor(grid.to_grid(np.array([start[:2]]))[0]).astype(int) - corner[::-1]
     inside = 0 <= row < free.shape[0] and 0 <= column < free.shape[1]
     if inside and open_space[row, column]:
@@ -222,6 +226,28 @@ def _centres(
     x, y = grid.to_world(np.array([[columns[nearest] + corner[1] + 0.5, rows[nearest] + corner[0] + 0.5]]))[0]
     fault = "too near a wall" if inside and free[row, column] else "in a wall, in unknown space or outside the map"
     raise FloorPlanError(f"start ({start[0]:g}, {start[1]:g}) is {fault}; move it, for example to ({x:.2f}, {y:.2f}).")
+
+
+def _building(labels: np.ndarray, sizes: np.ndarray) -> int:
+    """Return the label of the largest region, or of one within it that has more walls, if that is not far smaller.
+
+    The paper between a drawing's frame and the building is larger than the building, but has fewer walls; so has a
+    courtyard, which lies within the building.
+    """
+    edge = labels[(labels > 0) & ~ndimage.binary_erosion(labels > 0)]
+    walls = np.bincount(edge, minlength=len(sizes) + 1)[1:]
+    boxes = ndimage.find_objects(labels)
+    best = int(np.argmax(sizes))
+    while True:
+        rivals = (walls > walls[best]) & (sizes >= ENCLOSED_SHARE * sizes[best])
+        if not rivals.any():
+            return 1 + best
+        part = labels[boxes[best]]
+        enclosed = np.unique(part[ndimage.binary_fill_holes(part == 1 + best)])
+        rivals &= np.isin(np.arange(1, len(sizes) + 1), enclosed)
+        if not rivals.any():
+            return 1 + best
+        best = int(np.argmax(np.where(rivals, sizes, 0)))
 
 
 def _grown(centres: np.ndarray, free: np.ndarray, radius: float, gap: float, nook_cells: float) -> np.ndarray:
@@ -317,9 +343,9 @@ def grow(space, allowed, columns, queue):
 
 def _outline(space: np.ndarray, corner: tuple[int, int]) -> Polygon:
     """Return the polygon of a connected mask along its cells' sides, in columns and rows of the grid."""
-    # Just above a half, where two cells that meet in a corner are not joined.
+    # Above a half, where two cells that meet in a corner are not joined, and walls past it keep off each other.
     generator = contour_generator(z=space.astype(float), fill_type=FillType.OuterOffset)
-    parts: Any = generator.filled(0.5 + 1e-6, math.inf)
+    parts: Any = generator.filled(0.75, math.inf)
     points, offsets = (part[0] for part in parts)
     exterior, *holes = (_along_sides(points[a:b], space) + corner[::-1] for a, b in pairwise(offsets))
     return Polygon(exterior, holes)
@@ -339,14 +365,21 @@ def _along_sides(ring: np.ndarray, space: np.ndarray) -> np.ndarray:
     return both[kept]
 
 
-def _simplified(polygon: Polygon, tolerance: float) -> Polygon:
-    """Return a polygon with fewer corners, within `tolerance` of the given one, or less where it would cross itself."""
+def _simplified(outline: Polygon, tolerance: float, grid: OccupancyGrid) -> Polygon:
+    """Return an outline in the world, with fewer corners, within `tolerance` cells of the given one.
+
+    Or within less, where it would cross or touch itself. It is rounded as files are, so that it is no other when read.
+    """
+
+    def placed(points: np.ndarray) -> np.ndarray:
+        return np.round(grid.to_world(points), DECIMALS)
+
     while tolerance > 1e-3:
-        simple = polygon.simplify(tolerance)
+        simple = shapely.transform(outline.simplify(tolerance), placed)
         if isinstance(simple, Polygon) and simple.is_valid and not simple.is_empty:
             return simple
         tolerance /= 2
-    return polygon
+    return shapely.transform(outline, placed)
 
 
 def _plan(grid: OccupancyGrid, polygon: Polygon, start: Pose | None) -> FloorPlan:
