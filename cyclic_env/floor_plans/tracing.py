@@ -18,8 +18,6 @@ import numpy as np
 import shapely
 from contourpy import FillType, contour_generator
 from scipy import ndimage
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import dijkstra
 from shapely.geometry import Point, Polygon
 
 from cyclic_env.compiled import compile_notice, compiled
@@ -220,6 +218,9 @@ def _entered(
     wide as a door that has walls. So does everything, if the start's part is like that, or else the largest. Lengths
     are in cells.
     """
+    from scipy.sparse import csr_array  # a tenth of a second that plans without unknown space don't need
+    from scipy.sparse.csgraph import dijkstra
+
     half_door = door / 2 - radius
     if half_door < 1 or not (grid.cells == UNKNOWN).any():
         return centres
@@ -241,7 +242,8 @@ def _entered(
     around = np.bincount(part_of, minlength=count + 1)
     walls = np.bincount(part_of[bounded[outline]], minlength=count + 1)
     glimpse = 2 * walls < around
-    home = 1 + np.argmax(np.bincount(parts.ravel())[1:]) if start is None else parts[_cell(start, grid, corner)]
+    largest = 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
+    home = largest if start is None else int(parts[_cell(start, grid, corner)])
     if glimpse[home]:
         return centres
 
@@ -250,7 +252,7 @@ def _entered(
     pairs = np.unique(np.concatenate([pairs, pairs[::-1]], axis=1), axis=1)
     cost = np.where(glimpse[pairs[1]], count + 1, 1)  # rather through all others than through one of these
     ways = csr_array((cost, tuple(pairs)), shape=(count + 1, count + 1))
-    far, before = dijkstra(ways, indices=home, return_predecessors=True)
+    (far,), (before,) = dijkstra(ways, indices=[home], return_predecessors=True)
     kept = far <= count
     for part in 1 + np.flatnonzero(~glimpse[1 : count_wide + 1]):
         while not kept[part]:
