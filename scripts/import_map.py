@@ -201,7 +201,7 @@ def notes(plan: FloorPlan, grid: OccupancyGrid) -> list[str]:
     """Return what may be wrong with a plan traced from a grid, and what to do about it."""
     remarks = []
     corners = grid.to_grid(plan.rings[0])
-    if corners.min() < 2 or (grid.cells.shape[::-1] - corners).min() < 2:
+    if corners.min() < 0.5 or (grid.cells.shape[::-1] - corners).min() < 0.5:  # no wall of a cell between
         remarks.append(
             "the plan reaches the image's edge; if that is the paper around a drawing, close the outer doors "
             "with dark lines, or give a --start inside"
