@@ -41,7 +41,7 @@ RESOLUTION_MIN = 1e-6
 """Metres a pixel, at least: floor plans are written to the micrometre."""
 
 CELLS_MAX = 64_000_000
-"""Most pixels of an image, such as 8,000 x 8,000: some 2 GB while they are traced."""
+"""Most pixels of an image, such as 8,000 x 8,000: some 3 GB while they are traced."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)

@@ -236,8 +236,8 @@ def _entered(
     if 2 * np.count_nonzero(_dilated(~_dilated(~unseen, NEAR), NEAR)) < np.count_nonzero(unseen):
         return centres  # it is the grey of lines, as in a photograph of a drawing
     bounded = _dilated((cells >= FREE_BELOW) & ~free, NEAR)
-    away, nearest = ndimage.distance_transform_edt(parts == 0, return_indices=True)
-    outline = _dilated(free, 1.5) & ~free & (away < radius + 1.5)
+    outline = _dilated(free, 1.5) & ~free & _dilated(centres, radius + 1.5)
+    nearest = ndimage.distance_transform_edt(parts == 0, return_distances=False, return_indices=True)
     part_of = parts[nearest[0][outline], nearest[1][outline]]
     around = np.bincount(part_of, minlength=count + 1)
     walls = np.bincount(part_of[bounded[outline]], minlength=count + 1)
