@@ -215,8 +215,8 @@ def _entered(
     """Return the robot's centres without what was only looked into, of parts divided by openings narrower than a door.
 
     A part has been looked into if more of its outline is unknown than wall. It stays if it is on the way to a part as
-    wide as a door that has walls. So does everything, if the start's part is like that, or else the largest. Lengths
-    are in cells.
+    wide as a door that has walls, or narrow and between two that stay. So does everything, if the start's part is like
+    that, or else the largest. Lengths are in cells.
     """
     from scipy.sparse import csr_array  # a tenth of a second that plans without unknown space don't need
     from scipy.sparse.csgraph import dijkstra
@@ -258,6 +258,8 @@ def _entered(
         while not kept[part]:
             kept[part] = True
             part = before[part]
+    passage = np.bincount(pairs[0][kept[pairs[1]]], minlength=count + 1) > 1
+    kept[count_wide + 1 :] |= passage[count_wide + 1 :]
     return kept[parts]
 
 
