@@ -36,7 +36,7 @@ from cyclic_env.floor_plans import (
     write_floor_plan,
     write_occupancy_grid,
 )
-from cyclic_env.floor_plans.occupancy import FREE, IMAGE_SUFFIXES, UNKNOWN
+from cyclic_env.floor_plans.occupancy import IMAGE_SUFFIXES, UNKNOWN
 from cyclic_env.floor_plans.yaml_files import name_of, read_yaml
 from cyclic_env.whole_file import whole_file
 
@@ -50,8 +50,11 @@ SIZES = {
     "speck_area": "m2; isolated specks of wall that are smaller are dropped (default 0.04)",
     "gap": "metres; free space narrower than this is closed (default 0.2)",
     "nook_area": "m2; free space that the robot can only see into is kept up to this size (default 0.5)",
+    "door": "metres; what was only looked into, through openings narrower than this, is closed (default 1.2)",
     "tolerance": "metres by which simplified walls may be off (default 1.5 pixels)",
 }
+DOUBTFUL_SHARE = 0.25
+"""Of the plan's area; light grey of more is worth a remark."""
 FIGURE_DPI = 130
 EXPORT_RESOLUTION = 0.05
 
@@ -189,7 +192,27 @@ def table(
             "space, out of reach or too narrow"
         )
         rows["time"] = f"read in {read_s:.2f} s, traced in {traced_s:.2f} s"
+    if grid is not None:
+        rows |= {"look" if i == 0 else "and": note for i, note in enumerate(notes(plan, grid))}
     return "\n".join(f"{name:>10}  {value}" for name, value in rows.items())
+
+
+def notes(plan: FloorPlan, grid: OccupancyGrid) -> list[str]:
+    """Return what may be wrong with a plan traced from a grid, and what to do about it."""
+    remarks = []
+    corners = grid.to_grid(plan.rings[0])
+    if corners.min() < 0.5 or (grid.cells.shape[::-1] - corners).min() < 0.5:  # no wall of a cell between
+        remarks.append(
+            "the plan reaches the image's edge; if that is the paper around a drawing, close the outer doors "
+            "with dark lines, or give a --start inside"
+        )
+    grey = grid.doubtful * grid.resolution**2
+    if grey > DOUBTFUL_SHARE * plan.free_area:
+        remarks.append(
+            f"{grey:,.0f} m2 of light grey are unknown by free_thresh; if they are floor, as in a map of Cartographer, "
+            "write 'mode: scale' into the map's YAML"
+        )
+    return remarks
 
 
 def draw(plan: FloorPlan, grid: OccupancyGrid | None, path: Path) -> None:
@@ -220,7 +243,7 @@ def draw(plan: FloorPlan, grid: OccupancyGrid | None, path: Path) -> None:
         axes.set_position((0.5 + place.x0 / 2, place.y0, place.width / 2, place.height))
         before.set(xlim=axes.get_xlim(), ylim=axes.get_ylim(), xticks=[], yticks=[], facecolor=np.divide(SOLID, 255))
         shades = np.array([FLOOR, SOLID, WALL], np.uint8)
-        picture = shades[np.where(grid.cells == UNKNOWN, 1, np.where(grid.cells == FREE, 0, 2))]
+        picture = shades[np.where(grid.cells == UNKNOWN, 1, np.where(grid.free, 0, 2))]
         rows, columns = grid.cells.shape
         to_world = Affine2D().scale(grid.resolution).rotate(grid.origin[2]).translate(*grid.origin[:2])
         extent = (0, columns, 0, rows)

@@ -57,12 +57,29 @@ def test_options_reach_the_tracing(ros_map: Path, tmp_path: Path) -> None:
     out = tmp_path / "plan.yaml"
     start = read_floor_plan(ros_map).start
     arguments = [str(ros_map), "--out", str(out), "--start", f"{start[0]}", f"{start[1]}", "1.5"]
-    assert import_map.main([*arguments, "--speck-area", "0", "--nook-area", "0.3", "--gap", "0.1"]) == 0
+    assert import_map.main([*arguments, "--speck-area", "0", "--nook-area", "0.3", "--gap", "0.1", "--door", "1"]) == 0
     plan = load_floor_plan(out)
     assert plan.start == (start[0], start[1], 1.5)
     assert len(plan.free_space.interiors) == 7
     assert import_map.main([*arguments, "--tolerance", "0.3", "--robot-radius", "0.6"]) == 0
     assert load_floor_plan(out).cycles_total == 1
+
+
+def test_a_plan_of_the_paper_and_floor_in_grey_are_remarked_upon(
+    ros_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert import_map.main([str(ros_map)]) == 0
+    assert "look" not in capsys.readouterr().out
+    paper = np.full((200, 300), 254, np.uint8)
+    paper[50:150, 100:200] = 0
+    Image.fromarray(paper).save(tmp_path / "paper.png")
+    assert import_map.main([str(tmp_path / "paper.png"), "--resolution", "0.1"]) == 0
+    assert "look  the plan reaches the image's edge" in capsys.readouterr().out
+    grey = np.asarray(Image.open(ros_map.with_suffix(".pgm"))).copy()
+    grey[:, 230:][grey[:, 230:] == 254] = 190
+    Image.fromarray(np.where(grey == 205, 128, grey)).save(ros_map.with_suffix(".pgm"))
+    assert import_map.main([str(ros_map)]) == 0
+    assert "m2 of light grey are unknown by free_thresh" in capsys.readouterr().out
 
 
 def test_a_picture_needs_a_resolution(ros_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

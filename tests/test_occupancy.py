@@ -26,6 +26,7 @@ from cyclic_env.floor_plans import (
     read_floor_plan,
     read_occupancy_grid,
     trace_floor_plan,
+    write_floor_plan,
     write_occupancy_grid,
 )
 from cyclic_env.floor_plans.occupancy import CELLS_MAX
@@ -129,6 +130,13 @@ def test_grey_of_map_saver_is_unknown_whatever_threshold_it_wrote(tmp_path: Path
     assert read_cells(tmp_path, painted, free_thresh=0.25) == [[100, -1, 0]]
     other = np.array([[0, 205, 254, 230]], np.uint8)
     assert read_cells(tmp_path, other, free_thresh=0.25) == [[100, 0, 0, 0]]
+
+
+def test_light_grey_is_counted_where_the_threshold_makes_it_unknown(tmp_path: Path) -> None:
+    shades = np.array([[0, 128, 128, 150, 180, 100, 254]], np.uint8)  # unseen is 128, 100 more likely occupied
+    assert read_occupancy_grid(write_map(tmp_path, shades)).doubtful == 2
+    assert read_occupancy_grid(write_map(tmp_path, shades, mode="scale")).doubtful == 0
+    assert read_occupancy_grid(write_map(tmp_path, SHADES)).doubtful == 0
 
 
 def test_keys_may_be_left_out_and_others_be_there(tmp_path: Path) -> None:
@@ -280,6 +288,81 @@ def test_single_rays_are_dropped() -> None:
     plan = traced(cells)
     assert plan.bounds == pytest.approx((0, 0, 8, 6), abs=0.05)
     assert len(plan.walls) == 4
+
+
+def looked_into(depth: float) -> np.ndarray:
+    """Return the cells of a hall, 8 m x 6 m, that somebody saw 5 m from to the east, through a window 0.8 m wide.
+
+    Behind `depth` metres of what was seen there is a room, 4 m x 4 m, with walls around it.
+    """
+    cells = floor(20, 6)
+    box(cells, 8, -1, 13, 8, value=-1)
+    box(cells, 8, 0, 0.1, 6)
+    box(cells, 8, 2.6, 5, 0.8, value=0)
+    x = 8 + depth
+    box(cells, x, 0.9, 4.2, 4.2)
+    box(cells, x + 0.1, 1, 4, 4, value=0)
+    box(cells, x, 2.6, 0.1, 0.8, value=0)
+    return cells
+
+
+def test_what_was_only_looked_into_is_closed_unless_it_leads_on() -> None:
+    assert not holds(traced(looked_into(7)), 10, 3)
+    assert holds(traced(looked_into(7), door=0.0), 12.5, 3)
+    on_the_way = traced(looked_into(4))
+    assert holds(on_the_way, 10, 3)
+    assert holds(on_the_way, 15, 3)
+
+
+def test_a_map_without_walls_is_kept() -> None:
+    cells = looked_into(7)
+    cells[cells == 100] = -1
+    assert holds(traced(cells), 12.5, 3)
+
+
+@pytest.mark.parametrize("framed", [False, True])
+def test_the_paper_around_a_building_is_no_building_nor_is_its_courtyard(framed: bool) -> None:
+    cells = floor(40, 30)
+    cells[cells == -1] = 0
+    if not framed:
+        cells[cells == 100] = 0
+    for x, y, width, height in ((5, 5, 30, 20), (11, 11, 18, 8)):  # a ring around a courtyard
+        box(cells, x, y, width, height)
+        box(cells, x + 0.1, y + 0.1, width - 0.2, height - 0.2, value=0)
+    for x in range(7, 34, 2):  # with partitions to both sides
+        box(cells, x, 5, 0.1, 4)
+        box(cells, x, 21, 0.1, 4)
+    plan = traced(cells)
+    assert plan.bounds == pytest.approx((5.1, 5.1, 34.9, 24.9), abs=0.05)
+    assert plan.cycles_total == 1
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1))
+def test_whatever_is_traced_is_read_back_as_it_was(tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cells = floor(12, 8)
+    for _ in range(30):  # short walls, diagonal steps among them
+        row, column = rng.integers(20, (cells.shape[0] - 20, cells.shape[1] - 20))
+        step = rng.integers(-1, 2, 2)
+        for i in range(rng.integers(2, 25)):
+            place = np.clip((row, column) + i * step, 20, np.array(cells.shape) - 21)
+            cells[tuple(place)] = 100
+    plan = traced(cells)
+    path = tmp_path_factory.mktemp("plans") / "plan.yaml"
+    write_floor_plan(plan, path)
+    assert read_floor_plan(path).free_space.equals(plan.free_space)
+
+
+def test_walls_that_meet_in_corners_do_not_keep_others_from_being_straight() -> None:
+    cells = floor(30, 12)
+    rough = np.random.default_rng(0).integers(0, 2, (2, 600)).astype(bool)
+    cells[20, 20:-20][rough[0]] = 100
+    cells[-21, 20:-20][rough[1]] = 100
+    for i in range(20, 580, 20):  # short walls along the grid, and steps off their ends
+        box(cells, i * RESOLUTION, 4, 0.5, 0.05)
+        cells[101 + 20 - 20 + np.arange(8), 30 + i + np.arange(8)] = 100
+    assert len(traced(cells, speck_area=0.0).walls) < 300
 
 
 @pytest.mark.parametrize(("gap", "cycles"), [(0.4, 1), (1.0, 2)])

@@ -41,7 +41,7 @@ RESOLUTION_MIN = 1e-6
 """Metres a pixel, at least: floor plans are written to the micrometre."""
 
 CELLS_MAX = 64_000_000
-"""Most pixels of an image, such as 8,000 x 8,000: some 2 GB while they are traced."""
+"""Most pixels of an image, such as 8,000 x 8,000: some 3 GB while they are traced."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -61,6 +61,8 @@ class OccupancyGrid:
         As of a `FloorPlan`.
     start : (x, y, heading), optional
         World pose at which the robot is to start.
+    doubtful : int
+        Cells that are unknown by the thresholds, but of a shade that says they are more likely free than not.
 
     Raises
     ------
@@ -76,6 +78,7 @@ class OccupancyGrid:
     source: str = ""
     licence: str = ""
     start: Pose | None = None
+    doubtful: int = 0
 
     def __post_init__(self) -> None:
         if self.cells.ndim != 2:
@@ -185,7 +188,7 @@ def occupancy_grid_from_mapping(data: Any, path: str | Path, *, on_white: bool =
     if not isinstance(mode, str) or mode.lower() not in MODES:
         raise FloorPlanError(f"mode: {unknown_name('mode', mode, MODES)}")
     picture = _decoded(Path(path).parent / image)
-    cells = _occupancy(picture, mode.lower(), bool(negate), occupied_thresh, free_thresh, on_white=on_white)
+    cells, doubtful = _occupancy(picture, mode.lower(), bool(negate), occupied_thresh, free_thresh, on_white=on_white)
     return OccupancyGrid(
         cells=cells[::-1],
         resolution=resolution,
@@ -195,6 +198,7 @@ def occupancy_grid_from_mapping(data: Any, path: str | Path, *, on_white: bool =
         source=as_text(data, "source"),
         licence=as_text(data, "licence"),
         start=as_start(data["start"]) if "start" in data else None,
+        doubtful=doubtful,
     )
 
 
@@ -251,8 +255,8 @@ def _decoded(path: Path) -> Image:
 
 def _occupancy(
     picture: Image, mode: str, negate: bool, occupied_thresh: float, free_thresh: float, *, on_white: bool
-) -> np.ndarray:
-    """Return the cells of a picture, `(rows, columns)` int8, row 0 at the top."""
+) -> tuple[np.ndarray, int]:
+    """Return the cells of a picture, `(rows, columns)` int8, row 0 at the top, and how many of them are doubtful."""
     total, weight, transparent = _shades(picture, alpha_counts=mode == "trinary", on_white=on_white)
     levels = np.arange(255 * weight + 1)  # sums of `weight` channels
     white = 255 * weight
@@ -264,14 +268,18 @@ def _occupancy(
         between = (occupied - free_thresh) / (occupied_thresh - free_thresh)
         table = np.rint(100 * between) if mode == "scale" else np.full(len(levels), UNKNOWN)
         table = np.where(occupied > occupied_thresh, OCCUPIED, np.where(occupied < free_thresh, FREE, table))
-    if mode == "trinary" and not negate:
-        painted = np.flatnonzero(np.bincount(total.ravel(), minlength=len(levels)))
-        if set(painted / weight) <= set(SHADES.values()):
-            table[weight * SHADES[UNKNOWN]] = UNKNOWN
+    counts = np.bincount(total.ravel(), minlength=len(levels))
+    if mode == "trinary" and not negate and set(np.flatnonzero(counts) / weight) <= set(SHADES.values()):
+        table[weight * SHADES[UNKNOWN]] = UNKNOWN
+    doubtful = 0
+    if mode == "trinary":
+        unknown = np.where(table == UNKNOWN, counts, 0)
+        unknown[np.argmax(unknown)] = 0  # the grey of what was never seen
+        doubtful = int(unknown[occupied < FREE_BELOW / 100].sum())
     cells = table.astype(np.int8)[total]
     if mode == "scale" and transparent is not None:
         cells[transparent] = UNKNOWN
-    return cells
+    return cells, doubtful
 
 
 def _shades(picture: Image, *, alpha_counts: bool, on_white: bool) -> tuple[np.ndarray, int, np.ndarray | None]:

@@ -23,11 +23,12 @@ from shapely.geometry import Point, Polygon
 from cyclic_env.compiled import compile_notice, compiled
 from cyclic_env.errors import FloorPlanError, shown
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, Pose
-from cyclic_env.floor_plans.occupancy import OccupancyGrid
+from cyclic_env.floor_plans.occupancy import FREE_BELOW, UNKNOWN, OccupancyGrid
 
 ENCLOSED_SHARE = 0.1
 """A region that the image's edge does not cut is preferred to a larger one that it does cut, such as the paper around
-a drawing, down to this share of its area."""
+a drawing, down to this share of its area; and one with more walls to a larger one around it, such as the paper in a
+drawing's frame."""
 
 CLEARANCE = 0.5
 """Cells between the robot and the centre of the nearest wall cell, at least: half of one keeps it off its side."""
@@ -38,6 +39,13 @@ that simplified walls may narrow too far: each wall by the tolerance, and by a c
 
 LONE_SHARE = 0.25
 """Share of the size of a speck from which one alone may hold two places apart."""
+
+DECIMALS = 6
+"""Of coordinates in metres, as files have them: rounded later, a wall that passes another closely might touch it."""
+
+NEAR = 2.5
+"""Cells. A wall as near as that to the end of what was seen bounds it; unknown space is more than twice as wide, and
+thinner grey is the edge of a line."""
 
 HEADINGS = 72
 """Among which the start's is chosen."""
@@ -73,6 +81,7 @@ def trace_floor_plan(
     speck_area: float = 0.04,
     gap: float = 0.2,
     nook_area: float = 0.5,
+    door: float = 1.2,
     tolerance: float | None = None,
 ) -> Tracing:
     """Return the floor plan of an occupancy grid in which a robot passes everywhere.
@@ -96,6 +105,10 @@ def trace_floor_plan(
     nook_area : float
         Square metres. Free space that the robot can't enter but its laser sees into, such as a niche, is kept up to
         this size; what is larger lies behind a window, or a door too narrow, and is closed.
+    door : float
+        Metres. What lies behind an opening narrower than this and ends at unknown space rather than at walls was only
+        looked into, through a window or a door, and is closed, unless it is the way to a place that has walls. 0 keeps
+        it.
     tolerance : float, optional
         Metres by which simplified walls may differ from the cells' sides; by default 1.5 cells. Half of it is taken
         where walls would else become too crude for the robot to pass.
@@ -106,7 +119,7 @@ def trace_floor_plan(
         If there is no free space, the robot fits nowhere or not at the start, or an argument makes no sense.
     """
     tolerance = 1.5 * grid.resolution if tolerance is None else tolerance
-    sizes = {"robot_radius": robot_radius, "speck_area": speck_area, "gap": gap, "nook_area": nook_area}
+    sizes = {"robot_radius": robot_radius, "speck_area": speck_area, "gap": gap, "nook_area": nook_area, "door": door}
     for name, value in (sizes | {"tolerance": tolerance}).items():
         if not 0 <= value < math.inf or (name == "robot_radius" and value == 0):
             raise FloorPlanError(f"{name}: expected metres, finite and not below 0, got {shown(value)}.")
@@ -131,6 +144,7 @@ def trace_floor_plan(
         radius = robot_radius / side + CLEARANCE + i / (ROUNDS - 1) * (1 + tolerance / side)
         try:
             centres = _centres(free, radius, grid, corner, start)
+            centres = _entered(centres, free, radius, door / side, grid, corner, start)
         except FloorPlanError as error:
             problems.append(error)
             break
@@ -138,7 +152,7 @@ def trace_floor_plan(
         outline = _outline(space, corner)
         dropped = side**2 * int(np.count_nonzero(free) - np.count_nonzero(space))
         for share in (1.0, 0.5):
-            polygon = shapely.transform(_simplified(outline, share * tolerance / side), grid.to_world)
+            polygon = _simplified(outline, share * tolerance / side, grid)
             try:
                 plan = _plan(grid, polygon, start)
                 home = plan.reachable(robot_radius)
@@ -189,6 +203,66 @@ def _drop_specks(free: np.ndarray, cells_min: float, radius: float) -> tuple[int
     return int(np.count_nonzero(small)), int(sizes[small].sum())
 
 
+def _entered(
+    centres: np.ndarray,
+    free: np.ndarray,
+    radius: float,
+    door: float,
+    grid: OccupancyGrid,
+    corner: tuple[int, int],
+    start: Pose | None,
+) -> np.ndarray:
+    """Return the robot's centres without what was only looked into, of parts divided by openings narrower than a door.
+
+    A part has been looked into if more of its outline is unknown than wall. It stays if it is on the way to a part as
+    wide as a door that has walls, or narrow and between two that stay. So does everything, if the start's part is like
+    that, or else the largest. Lengths are in cells.
+    """
+    from scipy.sparse import csr_array  # a tenth of a second that plans without unknown space don't need
+    from scipy.sparse.csgraph import dijkstra
+
+    half_door = door / 2 - radius
+    if half_door < 1 or not (grid.cells == UNKNOWN).any():
+        return centres
+    wide = _dilated(centres & ~_dilated(~centres, half_door), half_door) & centres
+    parts, count_wide = ndimage.label(wide)
+    narrow, count = ndimage.label(centres & ~wide)
+    parts[narrow > 0] = narrow[narrow > 0] + count_wide
+    count += count_wide
+
+    (row, column), (rows, columns) = corner, free.shape
+    cells = np.pad(grid.cells, 1)[row + 1 : row + 1 + rows, column + 1 : column + 1 + columns]
+    unseen = cells == UNKNOWN
+    if 2 * np.count_nonzero(_dilated(~_dilated(~unseen, NEAR), NEAR)) < np.count_nonzero(unseen):
+        return centres  # it is the grey of lines, as in a photograph of a drawing
+    bounded = _dilated((cells >= FREE_BELOW) & ~free, NEAR)
+    outline = _dilated(free, 1.5) & ~free & _dilated(centres, radius + 1.5)
+    nearest = ndimage.distance_transform_edt(parts == 0, return_distances=False, return_indices=True)
+    part_of = parts[nearest[0][outline], nearest[1][outline]]
+    around = np.bincount(part_of, minlength=count + 1)
+    walls = np.bincount(part_of[bounded[outline]], minlength=count + 1)
+    glimpse = 2 * walls < around
+    largest = 1 + int(np.argmax(np.bincount(parts.ravel())[1:]))
+    home = largest if start is None else int(parts[_cell(start, grid, corner)])
+    if glimpse[home]:
+        return centres
+
+    sides = [(parts[1:], parts[:-1]), (parts[:, 1:], parts[:, :-1])]
+    pairs = np.concatenate([np.stack([a, b])[:, (a != b) & (a > 0) & (b > 0)] for a, b in sides], axis=1)
+    pairs = np.unique(np.concatenate([pairs, pairs[::-1]], axis=1), axis=1)
+    cost = np.where(glimpse[pairs[1]], count + 1, 1)  # rather through all others than through one of these
+    ways = csr_array((cost, tuple(pairs)), shape=(count + 1, count + 1))
+    (far,), (before,) = dijkstra(ways, indices=[home], return_predecessors=True)
+    kept = far <= count
+    for part in 1 + np.flatnonzero(~glimpse[1 : count_wide + 1]):
+        while not kept[part]:
+            kept[part] = True
+            part = before[part]
+    passage = np.bincount(pairs[0][kept[pairs[1]]], minlength=count + 1) > 1
+    kept[count_wide + 1 :] |= passage[count_wide + 1 :]
+    return kept[parts]
+
+
 def _centres(
     free: np.ndarray, radius: float, grid: OccupancyGrid, corner: tuple[int, int], start: Pose | None
 ) -> np.ndarray:
@@ -212,8 +286,8 @@ def _centres(
             or box[1].stop + corner[1] > columns
             for box in ndimage.find_objects(labels)
         ]
-        return labels == 1 + np.argmax(np.where(cut, ENCLOSED_SHARE, 1.0) * sizes)
-    column, row = np.floor(grid.to_grid(np.array([start[:2]]))[0]).astype(int) - corner[::-1]
+        return labels == _building(labels, np.where(cut, ENCLOSED_SHARE, 1.0) * sizes)
+    row, column = _cell(start, grid, corner)
     inside = 0 <= row < free.shape[0] and 0 <= column < free.shape[1]
     if inside and open_space[row, column]:
         return labels == labels[row, column]
@@ -222,6 +296,34 @@ def _centres(
     x, y = grid.to_world(np.array([[columns[nearest] + corner[1] + 0.5, rows[nearest] + corner[0] + 0.5]]))[0]
     fault = "too near a wall" if inside and free[row, column] else "in a wall, in unknown space or outside the map"
     raise FloorPlanError(f"start ({start[0]:g}, {start[1]:g}) is {fault}; move it, for example to ({x:.2f}, {y:.2f}).")
+
+
+def _cell(pose: Pose, grid: OccupancyGrid, corner: tuple[int, int]) -> tuple[int, int]:
+    """Return row and column of the cell that a pose is in, from a corner of the grid."""
+    column, row = np.floor(grid.to_grid(np.array([pose[:2]]))[0]).astype(int) - corner[::-1]
+    return int(row), int(column)
+
+
+def _building(labels: np.ndarray, sizes: np.ndarray) -> int:
+    """Return the label of the largest region, or of one within it that has more walls, if that is not far smaller.
+
+    The paper between a drawing's frame and the building is larger than the building, but has fewer walls; so has a
+    courtyard, which lies within the building.
+    """
+    edge = labels[(labels > 0) & ~ndimage.binary_erosion(labels > 0)]
+    walls = np.bincount(edge, minlength=len(sizes) + 1)[1:]
+    boxes = ndimage.find_objects(labels)
+    best = int(np.argmax(sizes))
+    while True:
+        rivals = (walls > walls[best]) & (sizes >= ENCLOSED_SHARE * sizes[best])
+        if not rivals.any():
+            return 1 + best
+        part = labels[boxes[best]]
+        enclosed = np.unique(part[ndimage.binary_fill_holes(part == 1 + best)])
+        rivals &= np.isin(np.arange(1, len(sizes) + 1), enclosed)
+        if not rivals.any():
+            return 1 + best
+        best = int(np.argmax(np.where(rivals, sizes, 0)))
 
 
 def _grown(centres: np.ndarray, free: np.ndarray, radius: float, gap: float, nook_cells: float) -> np.ndarray:
@@ -317,9 +419,9 @@ def grow(space, allowed, columns, queue):
 
 def _outline(space: np.ndarray, corner: tuple[int, int]) -> Polygon:
     """Return the polygon of a connected mask along its cells' sides, in columns and rows of the grid."""
-    # Just above a half, where two cells that meet in a corner are not joined.
+    # Above a half, where two cells that meet in a corner are not joined, and walls past it keep off each other.
     generator = contour_generator(z=space.astype(float), fill_type=FillType.OuterOffset)
-    parts: Any = generator.filled(0.5 + 1e-6, math.inf)
+    parts: Any = generator.filled(0.75, math.inf)
     points, offsets = (part[0] for part in parts)
     exterior, *holes = (_along_sides(points[a:b], space) + corner[::-1] for a, b in pairwise(offsets))
     return Polygon(exterior, holes)
@@ -339,14 +441,21 @@ def _along_sides(ring: np.ndarray, space: np.ndarray) -> np.ndarray:
     return both[kept]
 
 
-def _simplified(polygon: Polygon, tolerance: float) -> Polygon:
-    """Return a polygon with fewer corners, within `tolerance` of the given one, or less where it would cross itself."""
+def _simplified(outline: Polygon, tolerance: float, grid: OccupancyGrid) -> Polygon:
+    """Return an outline in the world, with fewer corners, within `tolerance` cells of the given one.
+
+    Or within less, where it would cross or touch itself. It is rounded as files are, so that it is no other when read.
+    """
+
+    def placed(points: np.ndarray) -> np.ndarray:
+        return np.round(grid.to_world(points), DECIMALS)
+
     while tolerance > 1e-3:
-        simple = polygon.simplify(tolerance)
+        simple = shapely.transform(outline.simplify(tolerance), placed)
         if isinstance(simple, Polygon) and simple.is_valid and not simple.is_empty:
             return simple
         tolerance /= 2
-    return polygon
+    return shapely.transform(outline, placed)
 
 
 def _plan(grid: OccupancyGrid, polygon: Polygon, start: Pose | None) -> FloorPlan:
