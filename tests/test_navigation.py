@@ -29,6 +29,7 @@ from agents.navigation.scans import (
     inside,
     open_points,
     settles,
+    sound_ends,
     to_track,
 )
 from agents.navigation.track import Track
@@ -55,6 +56,9 @@ def seen(plan: FloorPlan, *pose: float) -> np.ndarray:
     return scan(plan.walls, np.array(pose), LaserConfig())
 
 
+NO_LEGS = np.zeros((0, 2, 2))
+
+
 def places_at(plan: FloorPlan, poses: list[tuple[float, float, float]]) -> Places:
     """Return places with true scans and poses, as if driven through in that order."""
     places, path = Places(BEAMS, 7), 0.0
@@ -63,7 +67,7 @@ def places_at(plan: FloorPlan, poses: list[tuple[float, float, float]]) -> Place
             path += math.hypot(pose[0] - poses[step - 1][0], pose[1] - poses[step - 1][1])
         ranges, lines = seen(plan, *pose), np.empty((BEAMS, 3))
         wall_lines(ranges, REACH, lines)
-        places.add(pose=pose, odometry=pose[:2], scan=ranges, lines=lines, step=step, path=path)
+        places.add(pose=pose, odometry=pose[:2], scan=ranges, ends=ranges, lines=lines, step=step, path=path)
     return places
 
 
@@ -178,7 +182,8 @@ def test_matching_finds_the_pose_from_which_a_scan_was_taken(name: str) -> None:
     for _ in range(20):
         true = np.array([x, y, heading]) + rng.uniform(-1, 1, 3) * (0.3, 0.3, 0.15)
         expected = true + rng.uniform(-1, 1, 3) * (0.3, 0.3, 0.1)
-        found = match(places, 0, seen(plan, *true), expected, np.array([0.5, 0.5, 0.2]), REACH)
+        ranges = seen(plan, *true)
+        found = match(places, 0, ranges, ranges, expected, np.array([0.5, 0.5, 0.2]), REACH)
         assert found.agreement > 0.9
         if found.firmness > 10:
             np.testing.assert_allclose(found.pose[:2], true[:2], atol=0.1)
@@ -188,18 +193,16 @@ def test_matching_finds_the_pose_from_which_a_scan_was_taken(name: str) -> None:
 def test_along_a_plain_corridor_a_match_keeps_to_what_was_expected_and_says_so() -> None:
     corridor = plan_of((0, 0, 60, 2.4))
     places = places_at(corridor, [(30.0, 1.2, 0.0)])
-    found = match(
-        places, 0, seen(corridor, 30.0, 1.5, 0.05), np.array([30.7, 1.2, 0.0]), np.array([0.5, 0.5, 0.2]), REACH
-    )
+    ranges = seen(corridor, 30.0, 1.5, 0.05)
+    found = match(places, 0, ranges, ranges, np.array([30.7, 1.2, 0.0]), np.array([0.5, 0.5, 0.2]), REACH)
     np.testing.assert_allclose(found.pose, [30.7, 1.5, 0.05], atol=0.03)
     assert found.firmness < 1.0
 
 
 def test_scans_of_different_rooms_do_not_agree() -> None:
     places = places_at(ROOM, [(5.0, 3.0, 0.0)])
-    found = match(
-        places, 0, seen(CROSSING, 15.0, 1.2, 0.0), np.array([5.0, 3.0, 0.0]), np.array([1.0, 1.0, 0.2]), REACH
-    )
+    ranges = seen(CROSSING, 15.0, 1.2, 0.0)
+    found = match(places, 0, ranges, ranges, np.array([5.0, 3.0, 0.0]), np.array([1.0, 1.0, 0.2]), REACH)
     assert found.agreement < 0.6
 
 
@@ -209,7 +212,7 @@ def test_along_a_plain_corridor_a_match_stays_where_it_was_expected() -> None:
     places = places_at(corridor, [(30.0, 1.2, 0.0)])
     for _ in range(20):
         ranges = np.minimum(seen(corridor, 30.4, 1.0, 0.1) + rng.normal(0, 0.03, BEAMS), REACH)
-        found = match(places, 0, ranges, np.array([30.0, 1.2, 0.05]), np.array([0.3, 0.3, 0.1]), REACH)
+        found = match(places, 0, ranges, ranges, np.array([30.0, 1.2, 0.05]), np.array([0.3, 0.3, 0.1]), REACH)
         assert found.firmness == 0.0
         assert found.pose[0] == pytest.approx(30.0, abs=0.02)
         assert found.pose[1] == pytest.approx(1.0, abs=0.02)
@@ -298,13 +301,13 @@ def test_closing_a_loop_straightens_a_bent_track() -> None:
         track.advance(driven, np.array([math.cos(heading), math.sin(heading)]))
         ranges, lines = seen(ring, *stop, heading), np.empty((BEAMS, 3))
         wall_lines(ranges, REACH, lines)
-        track.localise(places, ranges, lengths)
-        row = places.add(pose=track.pose, scan=ranges, lines=lines, compass=track.compass)
+        track.localise(places, ranges, ranges, lengths)
+        row = places.add(pose=track.pose, scan=ranges, ends=ranges, lines=lines, compass=track.compass)
         lengths, _ = places.ways_from(row)
     true = relative(np.array([*stops[0], headings[0]]), np.array([*stops[-1], headings[-1]]))
     before = math.hypot(*(relative(places.pose[0], places.pose[-1]) - true)[:2])
     expected = np.array([*places.pose[0, :2], places.pose[-1, 2]])
-    found = match(places, 0, places.scan[-1], expected, np.array([1.5, 1.5, 0.3]), REACH)
+    found = match(places, 0, places.scan[-1], places.ends[-1], expected, np.array([1.5, 1.5, 0.3]), REACH)
     track.close(places, found)
     after = math.hypot(*(relative(places.pose[0], places.pose[-1]) - true)[:2])
     assert after < 0.3 * before
@@ -324,8 +327,8 @@ def test_the_distance_meters_scale_is_learned_from_the_walls() -> None:
         ranges, lines = seen(grid, *(start + (1.0 + metres) * along), heading), np.empty((BEAMS, 3))
         ranges = np.clip(ranges + rng.normal(0, 0.02, BEAMS), 0.0, REACH)
         wall_lines(ranges, REACH, lines)
-        track.localise(places, ranges, lengths)
-        row = places.add(pose=track.pose, scan=ranges, lines=lines, compass=track.compass)
+        track.localise(places, ranges, ranges, lengths)
+        row = places.add(pose=track.pose, scan=ranges, ends=ranges, lines=lines, compass=track.compass)
         lengths, _ = places.ways_from(row)
     assert track.scale == pytest.approx(1 / 1.04, abs=0.005)
 
@@ -390,7 +393,7 @@ def test_a_way_leads_around_a_corner_and_keeps_off_walls() -> None:
     pose = np.array([10.0, 1.2, 0.0])
     grid = LocalMap()
     scans = np.array([seen(CROSSING, *pose), seen(CROSSING, 15.0, 1.2, 0.0)])
-    grid.draw(pose, scans, np.array([pose, (15.0, 1.2, 0.0)]), REACH)
+    grid.draw(pose, scans, np.array([pose, (15.0, 1.2, 0.0)]), NO_LEGS, REACH)
     costs, ends = grid.ways_to(np.array([[15.2, 9.0], [20.0, 8.0]]))
     assert 11.0 < costs[0] < 20.0
     assert math.isinf(costs[1])  # behind a wall
@@ -401,10 +404,37 @@ def test_a_way_leads_around_a_corner_and_keeps_off_walls() -> None:
     assert shapely.distance(walls, shapely.points(way)).min() > 0.2
 
 
+def test_the_way_that_was_driven_is_always_known() -> None:
+    """A wall that a scan, taken where the track is off, puts across a doorway does not lock the robot in."""
+    pose, grid = np.array([10.0, 1.2, 0.0]), LocalMap()
+    scans = np.array([seen(CROSSING, *pose), np.full(BEAMS, 1.0)])  # the second draws a wall all around the first
+    poses, there = np.vstack([pose, pose]), np.array([[15.0, 1.2]])
+    grid.draw(pose, scans, poses, NO_LEGS, REACH)
+    assert np.isinf(grid.ways_to(there)[0]).all()
+    grid.draw(pose, scans, poses, np.array([[(15.0, 1.2), pose[:2]]]), REACH)
+    costs, ends = grid.ways_to(there)
+    assert 5.0 < costs[0] < 15.0
+    assert np.abs(grid.way_to(int(ends[0]))[:, 1] - 1.2).max() < 0.3
+
+
+def test_ends_that_despeckling_moved_are_no_walls_to_match() -> None:
+    rng, plan = np.random.default_rng(0), load_floor_plan("office")
+    measured = seen(plan, *plan.start)
+    noisy = np.clip(measured + rng.normal(0, 0.03, BEAMS), 0.0, REACH)
+    for ranges in (measured, noisy):
+        scan = np.empty(BEAMS)
+        despeckle(ranges, scan)
+        ends = sound_ends(scan, ranges, REACH)
+        moved = np.abs(scan - ranges)
+        assert (ends[moved > 0.3] == REACH).all()
+        assert (ends[moved < 0.02] == scan[moved < 0.02]).all()
+        assert 0.0 < (ends != scan).mean() < 0.15
+
+
 def test_points_off_the_map_have_no_way() -> None:
     grid = LocalMap()
     pose = np.array([5.0, 3.0, 0.0])
-    grid.draw(pose, seen(ROOM, *pose)[None], pose[None], REACH)
+    grid.draw(pose, seen(ROOM, *pose)[None], pose[None], NO_LEGS, REACH)
     costs, _ = grid.ways_to(np.array([[5.0 + CELLS * CELL, 3.0], [-1e9, 1e9]]))
     assert np.isinf(costs).all()
 

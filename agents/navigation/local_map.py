@@ -72,7 +72,7 @@ def classify(passes, ends, cost):
 
 @compiled
 def clear_driven(legs, left, bottom, cost):
-    """Let the robot be, in `cost`, wherever it has driven: on straight legs `(n, 2, 2)`, metres in the track's frame."""
+    """Let the robot be, in `cost`, wherever it has driven: on straight legs `(n, 2, 2)`, metres."""
     for k in range(legs.shape[0]):
         x, y = (legs[k, 0, 0] - left) / CELL, (legs[k, 0, 1] - bottom) / CELL
         dx, dy = (legs[k, 1, 0] - legs[k, 0, 0]) / CELL, (legs[k, 1, 1] - legs[k, 0, 1]) / CELL

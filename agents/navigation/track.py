@@ -34,9 +34,9 @@ FIELD_REACH = 100.0
 SCALE_SPREAD, SLIP = 0.03, 0.03
 """Of the distance meter: its scale's deviation from 1 before anything is known, and metres of slip at each metre."""
 SCALE_ENDS, SCALE_DRIVEN, SCALE_TURN = 2.0, 0.5, 0.2
-"""Ends that speak for the way driven, and metres of it, from which a match tells the scale, and radians turned up to which."""
+"""A match tells the scale if so many ends speak for the way driven, over so many metres, with so many radians turned."""
 SCALE_OFF = 0.02
-"""By which one match may call for another scale, beyond what is not known of it: some are far off, and find the way too short."""
+"""By which one match may call for another scale, beyond what is not known of it: a few find the way far too short."""
 TENSION = 0.5
 """Metres by which returns have pulled at the track before it is spread over the places in between."""
 
