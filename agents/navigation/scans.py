@@ -32,8 +32,8 @@ these that too few scans see through to."""
 CONFIRM = 0.4
 """Metres."""
 SOUND, SOUND_NOISE = 0.02, 2.5
-"""Metres by which an end may be moved from where it was measured; and, for noise moves all, how many times as far as the
-lower three quarters of them."""
+"""Metres by which an end may be moved from where it was measured; and, for noise moves all, how many times as far as
+the lower three quarters of them."""
 OFF_WALL = 0.15
 """Metres: what is less off a wall's line is on it."""
 

@@ -34,7 +34,7 @@ FIELD_REACH = 100.0
 SCALE_SPREAD, SLIP = 0.03, 0.03
 """Of the distance meter: its scale's deviation from 1 before anything is known, and metres of slip at each metre."""
 SCALE_ENDS, SCALE_DRIVEN, SCALE_TURN = 2.0, 0.5, 0.2
-"""A match tells the scale if so many ends speak for the way driven, over so many metres, with so many radians turned."""
+"""A match tells the scale if so many ends speak for the way driven, over so many metres, with few radians turned."""
 SCALE_OFF = 0.02
 """By which one match may call for another scale, beyond what is not known of it: a few find the way far too short."""
 TENSION = 0.5
