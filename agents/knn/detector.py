@@ -31,7 +31,7 @@ POSITION_DRIFT = 0.02
 """Metres that dead reckoning alone may be off for every metre driven."""
 SPREAD = np.array([1.0, 1.0, math.radians(10)])
 """Of the robot about a place that the vote has found, metres, metres, radians."""
-AGREES_LESS, ENDS, FIRM = 0.07, 50, 4.0
+AGREES_LESS, ENDS, FIRM = 0.05, 50, 4.0
 """What a match may lack of the agreement of scans on the way, and must have of ends in common, and of ends that speak
 for each direction."""
 RIVAL_OFF, RIVAL_WORSE = 1.5, 0.08

@@ -19,6 +19,8 @@ LOOKAHEAD = 3.0
 """Metres along its way that the robot cuts short at most; more would cut corners that the way goes round."""
 PASSED = 0.6
 """Metres from a point of its way at which the robot makes for the next."""
+AVOIDS = math.radians(60)
+"""By which the robot turns off its way at most, for what is too near to it."""
 TURN_COST = 1.5
 """Metres of way that a radian of turning is worth, so that the robot goes on rather than back."""
 KIND_COST = np.array([0.0, 6.0, 0.0, 60.0])
@@ -196,7 +198,7 @@ def steer(clear: np.ndarray, bearing: float, distance: float) -> tuple[float, fl
     """
     for need in (min(1.0, distance), 0.5):
         free = clear_beam(clear, bearing, need)
-        if not math.isnan(free):
+        if abs(wrap(free - bearing)) < AVOIDS:  # else, as between door posts, the way is trusted
             bearing = wrap(free)
             break
     turn = max(-1.0, min(1.0, 1.6 * bearing))
