@@ -19,8 +19,9 @@ LOOKAHEAD = 3.0
 """Metres along its way that the robot cuts short at most; more would cut corners that the way goes round."""
 PASSED = 0.6
 """Metres from a point of its way at which the robot makes for the next."""
-AVOIDS = math.radians(60)
-"""By which the robot turns off its way at most, for what is too near to it."""
+AVOIDS, HESITATES = math.radians(60), 20
+"""By which the robot turns off its way at most, for what is too near to it; and steps without progress after which it
+turns off as far as it takes."""
 TURN_COST = 1.5
 """Metres of way that a radian of turning is worth, so that the robot goes on rather than back."""
 KIND_COST = np.array([0.0, 6.0, 0.0, 60.0])
@@ -160,7 +161,7 @@ class Pilot:
         clear_lengths(scan, HALF_WIDTH, self._clear)
         target, bearing, away = look_ahead(self.way, pose, self._clear)
         self.way = self.way[target:]
-        return steer(self._clear, bearing, away)
+        return steer(self._clear, bearing, away, AVOIDS if self._waited < HESITATES else math.pi)
 
 
 @compiled
@@ -186,7 +187,7 @@ def look_ahead(way, pose, clear):
     return target, bearing, math.sqrt(dx * dx + dy * dy)
 
 
-def steer(clear: np.ndarray, bearing: float, distance: float) -> tuple[float, float]:
+def steer(clear: np.ndarray, bearing: float, distance: float, avoids: float = math.pi) -> tuple[float, float]:
     """Return speed and turning rate, as shares of a full twist, towards a point that may be behind something.
 
     Parameters
@@ -195,10 +196,12 @@ def steer(clear: np.ndarray, bearing: float, distance: float) -> tuple[float, fl
         As from `clear_lengths`.
     bearing, distance : float
         Of the point, radians and metres.
+    avoids : float
+        Radians by which to turn aside at most, for what is too near.
     """
     for need in (min(1.0, distance), 0.5):
         free = clear_beam(clear, bearing, need)
-        if abs(wrap(free - bearing)) < AVOIDS:  # else, as between door posts, the way is trusted
+        if abs(wrap(free - bearing)) <= avoids:  # else, as between door posts, the way is trusted
             bearing = wrap(free)
             break
     turn = max(-1.0, min(1.0, 1.6 * bearing))

@@ -123,7 +123,9 @@ def align(reference, lines, ranges, range_max, prior, spread, pose, hessian):
             best, error, nx, ny = gate, 0.0, 0.0, 0.0
             for i in range(centre - 6, centre + 7):
                 j = i % n
-                if lines[j, 0] == 0.0 and lines[j, 1] == 0.0:
+                # The scan must be on the side of the wall that the reference has seen: walls have two faces.
+                side = pose[0] * lines[j, 0] + pose[1] * lines[j, 1] - lines[j, 2]
+                if side * lines[j, 2] >= 0.0:  # also where there is no line
                     continue
                 dx = x - reference[j] * math.cos(j * spacing)
                 dy = y - reference[j] * math.sin(j * spacing)
