@@ -431,6 +431,42 @@ def test_ends_that_despeckling_moved_are_no_walls_to_match() -> None:
         assert 0.0 < (ends != scan).mean() < 0.15
 
 
+def test_a_wall_is_not_matched_with_its_other_face() -> None:
+    """Two rooms share a wall of 0.2 m: what one sees of it tells nothing of where the other's face is."""
+    rooms = plan_of((0, 0, 6, 4), (0, 4.2, 6, 8.2), (2.5, 3.9, 3.5, 4.3))
+    places = places_at(rooms, [(4.6, 3.0, 0.0)])
+    true = np.array([1.2, 5.3, 0.0])
+    ranges = seen(rooms, *true)
+    found = match(places, 0, ranges, ranges, np.array([1.3, 5.35, 0.0]), np.array([0.3, 0.3, 0.1]), REACH)
+    np.testing.assert_allclose(found.pose, true, atol=0.1)  # with the other face it is 0.2 m off
+
+
+def test_steering_turns_aside_no_further_than_it_may() -> None:
+    clear = np.zeros(BEAMS)
+    clear[BEAMS // 2] = 2.0  # only the way back is clear
+    assert steer(clear, 0.0, 1.0)[1] != 0
+    assert steer(clear, 0.0, 1.0, math.radians(60))[1] == 0
+
+
+def test_an_opening_reached_from_the_other_side_leads_on_until_the_loop_is_closed() -> None:
+    """Seen from one end of a corridor and reached from its other end, which by the graph of rows is far away."""
+    corridor = plan_of((0, 0, 40, 2.4))
+    first, last = (4.0, 1.2, 0.0), (17.0, 1.2, math.pi)
+    places, areas = places_at(corridor, [first]), OpenAreas(BEAMS, REACH)
+    areas.update(places, np.zeros(1))
+    ahead = areas.points(places)[:, 0].max()
+    assert 15.0 < ahead < 16.5
+    places = places_at(corridor, [first, last])
+    for x in (17.0, 15.5, 13.5):
+        places.pose[1], places.scan[1] = (x, 1.2, math.pi), seen(corridor, x, 1.2, math.pi)
+        areas.update(places, np.array([70.0, 0.0]))
+        mine = areas.points(places)[(areas.place == 0) & areas.unbounded]
+        assert len(mine)
+        assert mine[:, 0].max() < x - 1.0  # ahead of the robot, towards where it was seen from
+    areas.update(places, np.array([9.5, 0.0]))  # the loop is closed
+    assert not (areas.place == 0).any()
+
+
 def test_points_off_the_map_have_no_way() -> None:
     grid = LocalMap()
     pose = np.array([5.0, 3.0, 0.0])

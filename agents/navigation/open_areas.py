@@ -31,6 +31,8 @@ SIGHT = 14.0
 """Metres between two places whose scans may overlap at points of one of them: a little more than the laser's reach."""
 WITNESSES = 3
 """Scans as measured, of five, that see through to a point of an opening; with fewer, it comes last."""
+ONWARD = 2.0
+"""Metres that the robot goes on at a time from an opening that it comes to from the other side."""
 MOST_POINTS = 400
 """Of one scan; more are left out."""
 SAME_AREA = 2.0
@@ -108,8 +110,11 @@ class OpenAreas:
             points = self.points(places)
             away = distances(points, pose)
             near = lengths[self.place] <= away + DETOUR
-            # Also if the loop to a point is not closed yet, the robot has been there; it goes on, and closes it.
             arrived = self._sees(places, last, points) & (away < BESIDE)
+            # Where the loop to a point is not closed yet, the robot goes on to where it was seen from, and closes it.
+            ahead = arrived & ~near & (self.polar[:, 0] > ONWARD)
+            self.polar[ahead, 0] -= ONWARD
+            arrived &= ~ahead
             self._drop(near & self._settles(places, np.array([last]), points) | arrived, arrived)
         if len(self):
             # A point is best kept by the place that sees it from nearest: the way to it leads from there.
