@@ -106,15 +106,14 @@ def compare(
         if len(trained_on) > 1:
             raise ConfigError("the models were trained on different maps; say with --map on which to compare them.")
         maps = next(iter(trained_on), (DEFAULT_MAP,))
-    for map_name in maps:
-        load_floor_plans(map_name)
-    for map_name in maps:
+    pools = [load_floor_plans(map_name) for map_name in maps]
+    for pool in pools:
         for entry in contestants:
             evaluation = evaluate(
                 entry.policy,
                 agent=entry.name,
                 seeds=seeds,
-                map_name=map_name,
+                map_name=pool,
                 noise=noise,
                 action_type=entry.action_type,
                 **settings,

@@ -22,9 +22,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from scipy.special import stdtrit
 
 from cyclic_env.config import is_integer
-from cyclic_env.engine import engine_config
 from cyclic_env.errors import ConfigError, shown
-from cyclic_env.floor_plans import pool_label
+from cyclic_env.floor_plans import PlanPool, load_floor_plans, pool_label
 from cyclic_env.vector_env import CyclicLoopVectorEnv
 
 METRICS = (
@@ -340,14 +339,20 @@ def evaluate(
     """
     seeds = checked_seeds(seeds)
     num_envs = BATCH if num_envs is None else num_envs
-    config = engine_config(map_name=map_name, noise=noise, **settings)
-    map_label = pool_label(config.plans.names)
-    parts: list[tuple[Any, list[int]]] = [(map_name, seeds)]
+    pool = load_floor_plans(map_name)
+    map_label = pool_label(pool.names)
+
+    def vector_env(plans: PlanPool, seeds: Sequence[int]) -> CyclicLoopVectorEnv:
+        rows = min(num_envs, len(seeds)) if is_integer(num_envs) else num_envs
+        return CyclicLoopVectorEnv(rows, plans, noise=noise, autoreset_mode="SAME_STEP", **settings)
+
+    env = vector_env(pool, seeds)  # of all plans, which are checked here
+    config = env.engine.config
+    parts = {0: seeds}
     if every_plan:
-        seeds_of: dict[int, list[int]] = {}
+        parts = {}
         for seed in seeds:
-            seeds_of.setdefault(seed % len(config.plans), []).append(seed)
-        parts = [(config.plans.entries[place], its_seeds) for place, its_seeds in seeds_of.items()]
+            parts.setdefault(seed % len(pool), []).append(seed)
     line = ProgressLine() if progress else None
     records: list[dict[str, Any]] = []
     steps = 0
@@ -360,17 +365,16 @@ def evaluate(
 
     complete = True
     try:
-        for name, its_seeds in parts:
-            rows = min(num_envs, len(its_seeds)) if is_integer(num_envs) else num_envs
-            env = CyclicLoopVectorEnv(rows, name, noise=noise, autoreset_mode="SAME_STEP", **settings)
-            try:
-                for record in rollout(policy, env, its_seeds, deterministic=deterministic, progress=show):
-                    records.append(record)  # one by one, for a Ctrl-C
-            finally:
+        for place, its_seeds in parts.items():
+            if every_plan:
                 env.close()
+                env = vector_env(pool[place : place + 1], its_seeds)
+            for record in rollout(policy, env, its_seeds, deterministic=deterministic, progress=show):
+                records.append(record)
     except KeyboardInterrupt:
         complete = False
     finally:
+        env.close()
         if line is not None:
             line.clear()
     order = {seed: index for index, seed in enumerate(seeds)}

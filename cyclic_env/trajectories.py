@@ -14,7 +14,7 @@ import numpy as np
 
 from cyclic_env.config import real_array
 from cyclic_env.errors import ConfigError
-from cyclic_env.whole_file import whole_file
+from cyclic_env.whole_file import write_whole
 
 Edge = tuple[int, int, np.ndarray, np.ndarray]
 """Two poses by their numbers i and j, the pose of j in the frame of i `(3,)`, and its information `(3, 3)`."""
@@ -166,8 +166,7 @@ def _words(values: np.ndarray) -> str:
 
 def _write(path: str | Path, lines: list[str]) -> None:
     try:
-        with whole_file(path) as part:
-            part.write_text("\n".join(lines) + "\n", encoding="ascii")
+        write_whole(path, "\n".join(lines) + "\n")
     except OSError as error:
         raise ConfigError(f"can't write to {path}: {error.strerror}.") from error
 

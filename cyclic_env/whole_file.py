@@ -38,3 +38,16 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     finally:
         with contextlib.suppress(OSError):
             part.unlink(missing_ok=True)
+
+
+def write_whole(path: str | Path, text: str) -> Path:
+    """Write a text in UTF-8, all of it or nothing; return the path.
+
+    Raises
+    ------
+    OSError
+        Naming `path`, if it can't be written.
+    """
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
+    return Path(path)

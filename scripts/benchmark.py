@@ -44,6 +44,7 @@ from cyclic_env.evaluation import check_writable
 from cyclic_env.floor_plans.wall_tiles import build_wall_tiles
 from cyclic_env.laser import beam_directions, scan, scan_row
 from cyclic_env.simulation import Simulation
+from cyclic_env.whole_file import write_whole
 
 ROOT = Path(__file__).resolve().parents[1]
 REPEATS = 5
@@ -420,7 +421,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for row in rows
         ]
         text = json.dumps({"versions": versions, "complete": not code, "results": results}, indent=1)
-        args.json.write_text(text + "\n", encoding="utf-8")
+        write_whole(args.json, text + "\n")
     if code:
         kept = f" and in {args.json}" if args.json else ""
         print(f"benchmark.py: stopped; the {len(rows)} rows measured so far are above{kept}.", file=sys.stderr)

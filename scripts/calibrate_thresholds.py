@@ -23,7 +23,7 @@ from agents.paper.thresholds import thresholds_file, training_runs
 from cyclic_env.errors import ConfigError, CyclicLoopError
 from cyclic_env.evaluation import ProgressLine, check_writable
 from cyclic_env.floor_plans.building_spec import SPLITS
-from cyclic_env.whole_file import whole_file
+from cyclic_env.whole_file import write_whole
 
 PLANS = 20
 
@@ -51,8 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         records = [cache.record(settings) for settings in runs]
         command = f"python scripts/calibrate_thresholds.py --plans {args.plans}"
         result = thresholds_file(records, args.plans, command)
-        with whole_file(args.out) as part:
-            part.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+        write_whole(args.out, json.dumps(result, indent=1) + "\n")
     except (CyclicLoopError, OSError) as error:
         progress.clear()
         print(f"calibrate_thresholds.py: {error}", file=sys.stderr)

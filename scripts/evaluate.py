@@ -23,6 +23,7 @@ from cyclic_env import __version__, map_names
 from cyclic_env.errors import ConfigError, CyclicLoopError
 from cyclic_env.evaluation import Evaluation, check_writable, format_table, table_notes
 from cyclic_env.floor_plans import separate_names
+from cyclic_env.whole_file import write_whole
 
 EXAMPLES = """agents by name: {names}
 
@@ -138,7 +139,7 @@ def parse_seeds(seeds: str | None, episodes: int | None) -> range:
 def write_json(evaluations: Sequence[Evaluation], path: Path) -> None:
     """Write the evaluations to a file."""
     entries = {"cyclic_env": __version__, "evaluations": [evaluation.to_json() for evaluation in evaluations]}
-    path.write_text(json.dumps(entries, indent=1) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(entries, indent=1) + "\n")
 
 
 def tables(evaluations: Sequence[Evaluation], *, markdown: bool) -> str:

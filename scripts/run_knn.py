@@ -28,7 +28,7 @@ from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, map_
 from cyclic_env.evaluation import ProgressLine, check_outputs, format_rows, score_rows
 from cyclic_env.recording import write_recording
 from cyclic_env.trajectories import ate, write_g2o, write_tum
-from cyclic_env.whole_file import whole_file
+from cyclic_env.whole_file import whole_file, write_whole
 
 if TYPE_CHECKING:
     from cyclic_env.film import Film
@@ -77,8 +77,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
         metrics = run.metrics() | settings
         print(score_table(metrics))
-        with whole_file(metrics_file) as part:
-            part.write_text(json.dumps(metrics, indent=1) + "\n", encoding="utf-8")
+        write_whole(metrics_file, json.dumps(metrics, indent=1) + "\n")
         if args.export is not None:
             export(run, args.export)
         draw_run(run, metrics, picture)

@@ -25,7 +25,7 @@ from cyclic_env.aliasing import look_alikes
 from cyclic_env.compiled import compile_notice
 from cyclic_env.evaluation import ProgressLine, check_outputs
 from cyclic_env.floor_plans import load_floor_plans
-from cyclic_env.whole_file import whole_file
+from cyclic_env.whole_file import whole_file, write_whole
 
 FIGURE_DPI = 150
 EXAMPLES = """examples:
@@ -94,8 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     print(table(rows))
     try:
         if args.json:
-            with whole_file(args.json) as part:
-                part.write_text(json.dumps([row._asdict() for row in rows], indent=1) + "\n", encoding="utf-8")
+            write_whole(args.json, json.dumps([row._asdict() for row in rows], indent=1) + "\n")
         if args.out:
             from cyclic_env.plotting import contact_sheet
 

@@ -127,24 +127,18 @@ class Detector:
 
     def _by_vote(self, places: Places) -> Detection:
         """Ask by the paper's rule: the vote among tables of the same direction, and a threshold."""
-        direction = int(places.direction[-1])
         tables = np.flatnonzero(places.group != places.group[-1])
         if self.config.detector == "both":
             gate = np.clip(POSITION_DRIFT * (places.path[-1] - places.path[tables]), DRIFT_MIN, DRIFT_MAX)
             tables = tables[distances(places.pose[tables], places.pose[-1]) < gate]
-        same = tables[places.direction[tables] == direction]
-        back = tables[places.direction[tables] == opposite(direction)]
-        rows, similarities = self._vote(places, same, back if self.config.both_directions else back[:0])
+        rows, similarities = self.vote(places, tables)
         if len(rows) and similarities[0] > self.config.least_similarity:
             return Detection(visited=int(rows[0]))
         return Detection()
 
     def _by_looks(self, places: Places, track: Track, candidates: np.ndarray) -> Match | None:
         """Return a match with a candidate that the vote finds, if no other rivals it and two rows in a row agree."""
-        direction = places.direction[candidates]
-        same = candidates[direction == places.direction[-1]]
-        back = candidates[direction == opposite(int(places.direction[-1]))]
-        rows, _ = self._vote(places, same, back if self.config.both_directions else back[:0])
+        rows, _ = self.vote(places, candidates)
         found = []
         for row in rows:
             expected = relative(places.pose[row], track.pose)
@@ -175,20 +169,28 @@ class Detector:
         self._pending = None if confirmed else (places.count, shift)
         return best if confirmed else None
 
-    def _vote(self, places: Places, ahead: np.ndarray, back: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def vote(self, places: Places, candidates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the rows nearest to the last place's in looks, those of the group with most votes first.
+
+        Rows of the last place's direction are compared as they are; with `both_directions`, those of the opposite one
+        as they look back; others not at all.
 
         Parameters
         ----------
         places : Places
-        ahead, back : (a,) and (b,)
-            Rows to be compared as they are, and looking back.
+        candidates : (c,)
+            Rows.
 
         Returns
         -------
         rows : (k,)
         similarities : (k,)
         """
+        direction = places.direction[candidates]
+        ahead = candidates[direction == places.direction[-1]]
+        back = candidates[direction == opposite(int(places.direction[-1]))]
+        if not self.config.both_directions:
+            back = back[:0]
         rows = np.concatenate([ahead, back])
         self.compared += len(rows)
         if not len(rows):

@@ -21,7 +21,7 @@ import numpy as np
 from agents.paper.runs import ARRAYS, RunRecord, RunSettings, run_explorer
 from cyclic_env import __version__
 from cyclic_env.errors import ConfigError, CyclicLoopError
-from cyclic_env.whole_file import whole_file
+from cyclic_env.whole_file import whole_file, write_whole
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = (
@@ -76,8 +76,7 @@ class Cache:
             return json.loads(file.read_text(encoding="utf-8"))
         except (OSError, ValueError):
             result = work()
-            with whole_file(file) as part:
-                part.write_text(json.dumps(result), encoding="utf-8")
+            write_whole(file, json.dumps(result))
             return result
 
     def _run_file(self, settings: RunSettings) -> Path:

@@ -123,8 +123,7 @@ def votes(record: RunRecord, measure: str) -> tuple[np.ndarray, np.ndarray, np.n
         direction, group = int(record.direction[i]), int(record.group[i])
         features = record.features[i].astype(np.float64)
         places.add(features=features, direction=direction, group=group, step=record.step[i], path=record.path[i])
-        tables = np.flatnonzero((places.direction == direction) & (places.group != group))
-        rows, similarities = detector._vote(places, tables, tables[:0])
+        rows, similarities = detector.vote(places, np.flatnonzero(places.group != group))
         if len(rows):
             queries.append(i)
             found.append(int(rows[0]))

@@ -34,7 +34,7 @@ from agents.paper.sections import (
 from agents.paper.timing import comparison_times, search_growth
 from cyclic_env import __version__
 from cyclic_env.floor_plans import load_floor_plan
-from cyclic_env.whole_file import whole_file
+from cyclic_env.whole_file import whole_file, write_whole
 
 EVERY = 5
 """Rows between two queries of the growth of the search."""
@@ -68,10 +68,11 @@ class Reproduction:
         results = self.results(cache, lap)
         self.tick("figures and tables")
         pictures = self._draw(cache, results, lap)
-        written = [write_text(self.folder / "report.md", report_text(results)), *pictures, *self._write_tables(results)]
+        report = write_whole(self.folder / "report.md", report_text(results))
+        written = [report, *pictures, *self._write_tables(results)]
         if self.docs is not None:
             (self.docs / "paper").mkdir(parents=True, exist_ok=True)
-            written.append(write_text(self.docs / "paper.md", report_text(results, "paper/")))
+            written.append(write_whole(self.docs / "paper.md", report_text(results, "paper/")))
             written += [figures.write_small(path, self.docs / "paper" / path.name) for path in pictures]
         return written
 
@@ -183,13 +184,6 @@ class Reproduction:
             "measures": results.measures,
         }
         return [write_csv(self.folder / f"{name}.csv", rows) for name, rows in tables.items()]
-
-
-def write_text(path: Path, text: str) -> Path:
-    """Write a text as a whole, or not at all; return the file."""
-    with whole_file(path) as part:
-        part.write_text(text, encoding="utf-8")
-    return path
 
 
 def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> Path:

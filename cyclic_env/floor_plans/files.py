@@ -24,7 +24,7 @@ from cyclic_env.floor_plans.yaml_files import (
     parse_yaml,
     read_yaml,
 )
-from cyclic_env.whole_file import whole_file
+from cyclic_env.whole_file import write_whole
 
 KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "corridors", "rooms", "centrelines")
 
@@ -86,8 +86,7 @@ def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
         raise FloorPlanError(f"{path}: what is to be written must be a FloorPlan; got {type(plan).__name__}.")
     text = floor_plan_to_text(plan, digits=6)
     try:
-        with whole_file(path) as part:
-            part.write_text(text, encoding="utf-8")
+        write_whole(path, text)
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
 

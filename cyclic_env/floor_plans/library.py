@@ -104,13 +104,15 @@ def load_floor_plan(map_name: MapName) -> FloorPlan:
 
 
 def load_floor_plans(map_name: MapName | Sequence[MapName]) -> PlanPool:
-    """Return the pool of one map or of several; the name of a split stands for all of its buildings.
+    """Return the pool of one map or of several, or the pool; the name of a split stands for all of its buildings.
 
     Raises
     ------
     FloorPlanError
         If the pool is empty, or a plan can't be loaded.
     """
+    if isinstance(map_name, PlanPool):
+        return map_name
     if isinstance(map_name, str | os.PathLike | FloorPlan):
         map_name = [map_name]
     if not isinstance(map_name, Sequence) or isinstance(map_name, bytes) or not map_name:

@@ -17,7 +17,7 @@ from scipy import ndimage
 from cyclic_env.errors import FloorPlanError, shown, unknown_name
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, Pose
 from cyclic_env.floor_plans.yaml_files import as_list, as_number, as_start, as_text, name_of, read_yaml
-from cyclic_env.whole_file import whole_file
+from cyclic_env.whole_file import whole_file, write_whole
 
 if TYPE_CHECKING:
     from PIL.Image import Image
@@ -397,7 +397,6 @@ def write_occupancy_grid(grid: OccupancyGrid, path: str | Path) -> None:
     try:
         with whole_file(image) as part:
             Image.fromarray(np.ascontiguousarray(shades[::-1])).save(part, "PPM")
-        with whole_file(path) as part:
-            part.write_text(yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+        write_whole(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120))
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
