@@ -21,7 +21,7 @@ lint: $(VENV)/.dev ## Style, types, import contracts
 bench: $(VENV)/.run ## Measure the speed
 	$(BIN)/python scripts/benchmark.py
 
-paper: $(VENV)/.run ## Reproduce the paper and test its claims: a report with figures in out/paper
+paper: $(VENV)/.paper ## Reproduce the paper and test its claims: a report with figures in out/paper
 	$(BIN)/python scripts/reproduce_paper.py
 
 $(BIN)/python:
@@ -29,6 +29,10 @@ $(BIN)/python:
 
 $(VENV)/.run: $(BIN)/python pyproject.toml constraints.txt
 	$(PIP) -c constraints.txt -e ".[plot,render]"
+	touch $@
+
+$(VENV)/.paper: $(VENV)/.run
+	$(PIP) -c constraints.txt -e ".[paper]"
 	touch $@
 
 $(VENV)/.dev: $(BIN)/python pyproject.toml constraints.txt
