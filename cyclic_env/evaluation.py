@@ -348,6 +348,11 @@ def evaluate(
 
     env = vector_env(pool, seeds)  # of all plans, which are checked here
     config = env.engine.config
+    made_for = getattr(policy, "action_type", config.action_type)
+    if made_for != config.action_type:
+        raise ConfigError(
+            f"the policy acts by {shown(made_for)}, the environment by {config.action_type!r}; make one fit."
+        )
     parts = {0: seeds}
     if every_plan:
         parts = {}

@@ -31,10 +31,11 @@ except ImportError as error:
 
 WIDTH, HEIGHT_MAX = 10.0, 9.0
 """Inches; of a figure, and of its axes at most."""
-ABOVE, BELOW, LEFT, RIGHT_OF = 0.62, 0.85, 0.55, 0.12
+ABOVE, BELOW, LEFT, RIGHT_OF = 0.62, 0.95, 0.55, 0.12
 """Inches around the axes: for the title, the legend, the metres, and nothing."""
 MARGIN = 0.03
 """Around the building, as a share of its longer side."""
+LEGEND_COLUMNS_MAX = 6
 SHEET_COLUMNS_MAX = 8
 SCALE = 10.0
 """Metres; of the scale below each building of a contact sheet."""
@@ -156,9 +157,10 @@ def draw_path(axes: Axes, trajectory: np.ndarray, *, by_time: bool = True) -> No
     lines.set_array(np.arange(len(pieces)) if by_time else np.ones(len(pieces)))
     axes.add_collection(lines)
     axes.plot([], [], color=_rgb(PATH_NEW), linewidth=1.5, label="path (darker: later)" if by_time else "path")
-    for place, marker, label, zorder in ((points[0], "D", "start", 7), (points[-1], "s", "end", 5)):
-        style = {"marker": marker, "markersize": 6, "markeredgecolor": _rgb(FLOOR), "markeredgewidth": 0.8}
-        axes.plot(*place, linestyle="", color=_rgb(INK), label=label, zorder=zorder, **style)
+    start = {"marker": "D", "markersize": 6, "markeredgecolor": _rgb(FLOOR), "markeredgewidth": 0.8}
+    end = {"marker": "s", "markersize": 12, "fillstyle": "none", "markeredgewidth": 1.2}  # around what is marked there
+    for place, style, label in ((points[0], start, "start"), (points[-1], end, "end")):
+        axes.plot(*place, linestyle="", color=_rgb(INK), label=label, zorder=7, **style)
 
 
 def draw_groups(axes: Axes, groups: Sequence[tuple[str, int, np.ndarray]]) -> None:
@@ -223,6 +225,9 @@ def draw_claims(axes: Axes, trajectory: np.ndarray, claims: np.ndarray) -> None:
         style = {"marker": marker, "markersize": size, "markeredgecolor": _rgb(FLOOR), "markeredgewidth": 0.6}
         label = f"{label} ({np.count_nonzero(kind)})"
         axes.plot(*places[kind].T, linestyle="", color=_rgb(colour), label=label, zorder=zorder, **style)
+    if (claims["match"] >= 0).any():
+        line = {"marker": "o", "markersize": 3.0, "markerfacecolor": _rgb(FLOOR), "markeredgewidth": 0.7}
+        axes.plot([], [], color=_rgb(FAINT), linewidth=1.0, label="claim to match", **line)
     for number, place in enumerate(places[closing], 1):
         _write(axes, str(number), place, FLOOR, 6.5, 6.5)
 
@@ -256,7 +261,8 @@ def add_legend(axes: Axes) -> None:
     """Put a legend of all that has been drawn below the building."""
     figure = axes.figure
     entries = axes.get_legend_handles_labels()
-    columns = (len(entries[1]) + 1) // 2 if len(entries[1]) > 7 else len(entries[1])
+    rows = math.ceil(len(entries[1]) / LEGEND_COLUMNS_MAX)
+    columns = math.ceil(len(entries[1]) / rows)
     figure.legend(*entries, loc="lower center", ncols=columns, fontsize=7.5, frameon=False, labelcolor=_rgb(INK))
 
 

@@ -103,7 +103,7 @@ class Renderer:
                 frame[..., channel] = columns[..., channel].T
             return frame
         if self._window is None:
-            hint = 'use render_mode="rgb_array", which needs none.'
+            hint = 'leave out --human, or use render_mode="rgb_array", which needs none.'
             self._window = Window(canvas_size(engine.config.plans), self._fps, hint)
         if self._window.is_open():
             self._window.show(draw_picture(engine, row))

@@ -12,7 +12,7 @@ from functools import lru_cache
 import numpy as np
 import shapely
 
-from cyclic_env.colours import FAINT, INK, PAPER, PATH_NEW, RULE, SEEN, SOLID, WALL
+from cyclic_env.colours import BEAM, FAINT, INK, PAPER, PATH_NEW, RULE, SEEN, SOLID, WALL
 from cyclic_env.drawing import (
     LABEL_SIZE,
     MARK,
@@ -210,6 +210,7 @@ def _draw_legend(overlay: pygame.Surface, view: View) -> None:
         ("false claim", cross_mark(MARK)),
         ("closes a cycle", tick_mark(MARK + 2)),
         ("correct claim", tick_mark(MARK)),
+        ("laser", swatch(BEAM)),
         ("seen", swatch(SEEN)),
         ("path", swatch(PATH_NEW, 3)),
         ("start", start_mark(MARK)),

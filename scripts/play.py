@@ -28,7 +28,11 @@ SPEED_MAX = 20.0
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__, epilog=EPILOG)
-    parser.add_argument("--map", default="ring", help=f"{', '.join(map_names())}, or a file (default ring)")
+    parser.add_argument(
+        "--map",
+        default="ring",
+        help=f"{', '.join(map_names())}, a file, or a building such as generated:seed=7 (default ring)",
+    )
     parser.add_argument("--noise", default="ideal", help="ideal, calibrated, typical or poor (default ideal)")
     parser.add_argument("--seed", type=int, default=0, help="of noise and random start (default 0)")
     parser.add_argument("--random-start", action="store_true", help="draw the start (default: the plan's own)")

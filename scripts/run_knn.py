@@ -20,11 +20,12 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numba.core import event
 
 from agents.knn.config import DETECTORS, PRESETS, preset
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.knn.similarity import MEASURES
-from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, map_names
+from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, __version__, map_names
 from cyclic_env.evaluation import ProgressLine, check_outputs, format_rows, score_rows
 from cyclic_env.recording import write_recording
 from cyclic_env.trajectories import ate, write_g2o, write_tum
@@ -41,16 +42,24 @@ EXPORTS = ("episode.npz", "true.tum", "dead_reckoned.tum", "corrected.tum", "pos
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--map", default="killian_court", help=f"{', '.join(map_names())}, or a file")
+    parser.add_argument(
+        "--map",
+        default="killian_court",
+        help=f"{', '.join(map_names())}, a file, or a building such as generated:seed=7 (default killian_court)",
+    )
     parser.add_argument("--preset", default="extended", help=f"{' or '.join(PRESETS)} (default extended)")
-    parser.add_argument("--detector", help=f"{', '.join(DETECTORS)} (default: the preset's)")
-    parser.add_argument("--measure", help=f"{', '.join(MEASURES)} (default: the preset's)")
+    parser.add_argument("--detector", help=f"{', '.join(DETECTORS)} (default: both; with paper: knn)")
+    parser.add_argument(
+        "--measure",
+        help=f"of similarity: {', '.join(MEASURES)} (default cosine); it changes little where the position leaves few "
+        "places to compare: see it with paper or --detector knn",
+    )
     parser.add_argument("--noise", default="ideal", help="ideal, calibrated, typical or poor (default ideal)")
     parser.add_argument("--seed", type=int, default=0, help="of noise and random start (default 0)")
     parser.add_argument("--random-start", action="store_true", help="draw the start (default: the plan's own)")
     parser.add_argument("--out", type=Path, default=Path("out/knn"), help="folder for the files (default out/knn)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="for the metrics (default: metrics.json in --out)")
-    parser.add_argument("--human", action="store_true", help="show the run in a window")
+    parser.add_argument("--human", action="store_true", help="show the run in a window, in real time: 5 steps a second")
     parser.add_argument("--no-gif", action="store_true", help="write no animation, which takes half of the time")
     parser.add_argument(
         "--export", type=Path, metavar="FOLDER", help="write the recording, the trajectories (TUM) and the graph (g2o)"
@@ -75,7 +84,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 130
         settings = {"preset": args.preset, "detector": explorer.config.detector, "measure": explorer.config.measure}
         settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
-        metrics = run.metrics() | settings
+        metrics = run.metrics() | settings | {"cyclic_env": __version__}
         print(score_table(metrics))
         write_whole(metrics_file, json.dumps(metrics, indent=1) + "\n")
         if args.export is not None:
@@ -115,10 +124,17 @@ class Run:
         The explorer's; None before the first step.
     total : float
         Of the rewards.
+    terms : dict
+        Of the rewards, their sums by name.
+    steps : int
+        Taken so far.
     ending : str
         Why it ended.
+    stopped_at : int or None
+        The step at which the explorer had nothing left to explore; it stands from there on.
     env_s, agent_s : list of float
-        Seconds of each step, in the environment and in the agent.
+        Seconds of each step, in the environment and in the agent, up to there, but for those that had to wait for
+        numba to compile or load a kernel.
     """
 
     def __init__(self, recorder: Recorder, film: Film | None = None) -> None:
@@ -127,7 +143,10 @@ class Run:
         self.info: dict[str, Any] = {}
         self.memory: Memory | None = None
         self.total = 0.0
+        self.terms: dict[str, float] = {}
+        self.steps = 0
         self.ending = ""
+        self.stopped_at: int | None = None
         self.env_s: list[float] = []
         self.agent_s: list[float] = []
 
@@ -138,34 +157,35 @@ class Run:
         assert isinstance(env, CyclicLoopEnv)
         return env
 
-    @property
-    def steps(self) -> int:
-        """Steps taken."""
-        return len(self.env_s)
-
     def drive(self, explorer: KnnExplorer, seed: int) -> None:
-        """Run the episode to its end, until there is nothing left to explore, or up to Ctrl-C."""
+        """Run the episode to its end, or up to Ctrl-C."""
         progress = ProgressLine()
         try:
             observation, self.info = self.recorder.reset(seed=seed)
             state = None
             while not self.ending:
-                if self.film is not None:
+                if self.film is not None and self.stopped_at is None:
                     self.film.take(self.steps)
-                began = time.perf_counter()
-                action, state = explorer.predict(observation, state)
-                decided = time.perf_counter()
-                observation, reward, terminated, truncated, self.info = self.recorder.step(action)
-                self.env_s.append(time.perf_counter() - decided)
-                self.agent_s.append(decided - began)
-                self.total += reward
+                with event.install_recorder("numba:compiler_lock") as compiled:
+                    began = time.perf_counter()
+                    action, state = explorer.predict(observation, state)
+                    decided = time.perf_counter()
+                    observation, reward, terminated, truncated, self.info = self.recorder.step(action)
+                    ended = time.perf_counter()
+                if self.stopped_at is None and not compiled.buffer:
+                    self.env_s.append(ended - decided)
+                    self.agent_s.append(decided - began)
+                self.steps += 1
+                self.total += float(reward)
+                for name, value in self.info["reward_terms"].items():
+                    self.terms[name] = self.terms.get(name, 0.0) + value
                 (self.memory,) = state
                 if terminated:
                     self.ending = "success"
                 elif truncated:
                     self.ending = "step budget spent"
-                elif self.memory.done:
-                    self.ending = "nothing left to explore"
+                elif self.memory.done and self.stopped_at is None:
+                    self.stopped_at = self.steps
                 progress.show(
                     f"step {self.steps:,}: {self.info['coverage']:.0%} seen, {self.info['cycles_closed']} of "
                     f"{self.info['cycles_total']} cycles closed, {self.info['false_claims']} false claims"
@@ -188,22 +208,30 @@ class Run:
         assert self.memory is not None
         plan = self.env.floor_plan
         tour = plan.closed_tour()
+        watched = self.env.render_mode == "human"  # then a step of the environment waits for the window
         return {
             "map": plan.name,
             **{name: value for name, value in self.info.items() if name != "reward_terms"},
             "steps": self.steps,
             "return": self.total,
+            "reward_terms": self.terms,
             "ending": self.ending,
+            "stopped_at": self.stopped_at,
             "path_over_tour": None if math.isnan(tour) else self.info["path_length_m"] / tour,
             "groups": len(self.memory.groups),
             "rows": self.memory.places.count,
             "rows_compared": self.memory.detector.compared,
             "open_areas": len(self.memory.areas.listed),
             **track_errors(self.recording()),
-            "seconds_per_step_env": statistics.fmean(self.env_s),
-            "seconds_per_step_agent": statistics.fmean(self.agent_s),
-            "seconds_per_step_agent_median": statistics.median(self.agent_s),
+            "seconds_per_step_env": None if watched else mean(self.env_s),
+            "seconds_per_step_agent": mean(self.agent_s),
+            "seconds_per_step_agent_median": statistics.median(self.agent_s) if self.agent_s else None,
         }
+
+
+def mean(values: Sequence[float]) -> float | None:
+    """Return the mean; None of nothing."""
+    return statistics.fmean(values) if values else None
 
 
 def track_errors(recording: Recording) -> dict[str, float | None]:
@@ -254,16 +282,24 @@ def score_table(metrics: dict[str, Any]) -> str:
         for title, name in (("dead reckoning", "dead_reckoning"), ("corrected track", "corrected"))
         if metrics[f"ate_{name}_m"] is not None
     ]
-    times = [1000 * metrics[f"seconds_per_step_{name}"] for name in ("env", "agent", "agent_median")]
+    times = [
+        f"{title} {1000 * seconds:.{digits}f} ms"
+        for title, name, digits in (("env", "env", 2), ("agent", "agent", 2), ("the agent's median", "agent_median", 3))
+        if (seconds := metrics[f"seconds_per_step_{name}"]) is not None
+    ]
+    since = metrics["stopped_at"]
+    stopped = "" if since is None else f"; nothing left to explore from step {since:,} on"
     rows = {
+        "run": f"{metrics['map']}, {metrics['noise']} sensors, seed {metrics['seed']}, {metrics['preset']}, "
+        f"{metrics['detector']}, {metrics['measure']}",
         **scores,
         "off, rms": ", ".join(tracks),
         "return": f"{metrics['return']:.1f}",
         "collisions": f"{metrics['collisions']}",
-        "steps": f"{metrics['steps']:,}, ended by: {metrics['ending']}",
+        "steps": f"{metrics['steps']:,}, ended by: {metrics['ending']}{stopped}",
         "groups": f"{metrics['groups']} of {metrics['rows']:,} rows, {metrics['rows_compared']:,} comparisons of rows",
         "open areas": f"{metrics['open_areas']}",
-        "a step takes": f"env {times[0]:.2f} ms, agent {times[1]:.2f} ms (median {times[2]:.3f} ms)",
+        "a step takes": ", ".join(times) or "-",
     }
     return format_rows(rows)
 

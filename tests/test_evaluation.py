@@ -350,3 +350,8 @@ def test_progress_in_a_file_is_a_line_now_and_then(monkeypatch: pytest.MonkeyPat
 def test_evaluation_needs_no_learning_library() -> None:
     code = "import sys, cyclic_env.evaluation; assert not {'torch', 'stable_baselines3', 'agents'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_policy_that_acts_by_other_actions_than_the_environment_is_refused() -> None:
+    with pytest.raises(ConfigError, match="acts by 'twist', the environment by 'wheels'"):
+        evaluate(make_agent("circling", action_type="twist"), map_name="ring", seeds=[0])

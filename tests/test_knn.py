@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from typing import Any
 
@@ -240,3 +241,43 @@ def test_a_state_of_another_batch_is_refused() -> None:
     _, state = explorer.predict(observation)
     with pytest.raises(ConfigError, match="2 robots"):
         explorer.predict({name: value[:1] for name, value in observation.items()}, state)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"compass": None}, "no compass"),
+        ({"laser": "far"}, "laser is not an array of numbers"),
+        ({"laser": np.zeros((2, 3, 180))}, r"shapes \(2, 3, 180\)"),
+        ({"distance": np.zeros((3, 1))}, r"\(3, 1\)"),
+        ({"compass": np.full((2, 2), np.nan)}, "not finite"),
+        ({"laser": np.ones((2, 11))}, "7 sectors need 12"),
+    ],
+)
+def test_an_observation_that_is_none_is_refused_with_what_is_expected(changes: dict[str, Any], message: str) -> None:
+    observation = {name: value for name, value in {**of_two_robots(), **changes}.items() if value is not None}
+    with pytest.raises(ConfigError, match=message):
+        KnnExplorer().predict(observation)
+    with pytest.raises(ConfigError, match="a dict with"):
+        KnnExplorer().predict(np.zeros(180))
+
+
+def test_a_state_of_another_laser_or_starts_of_other_robots_are_refused() -> None:
+    explorer, observation = KnnExplorer(), of_two_robots()
+    _, state = explorer.predict(observation)
+    with pytest.raises(ConfigError, match="180 beams, the observation of 90"):
+        explorer.predict({**observation, "laser": observation["laser"][:, ::2]}, state)
+    with pytest.raises(ConfigError, match="episode_start is of 3"):
+        explorer.predict(observation, state, np.zeros(3, np.bool_))
+
+
+def test_ranges_that_are_infinite_or_no_numbers_met_nothing() -> None:
+    explorer, state, other = KnnExplorer(), None, None
+    for observation in itertools.repeat(of_two_robots(), 5):
+        laser = observation["laser"].copy()
+        laser[:, 20:40] = 12.0
+        odd = laser.copy()
+        odd[:, 20:30], odd[:, 30:40] = np.inf, np.nan
+        actions, state = explorer.predict({**observation, "laser": laser}, state)
+        others, other = explorer.predict({**observation, "laser": odd}, other)
+        np.testing.assert_array_equal(actions, others)

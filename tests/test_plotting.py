@@ -76,7 +76,12 @@ def test_path_of_one_place_is_a_start(axes: Axes) -> None:
 def test_claims_are_told_apart_and_lead_to_the_places_they_named(axes: Axes) -> None:
     claims = np.array([(1, 0, True, False), (2, -1, False, False), (3, 1, False, False), (4, 0, True, True)], CLAIM)
     draw_claims(axes, WAY, claims)
-    assert labels(axes) == ["right claim (1)", "false claim (2)", "closes a cycle (1)"]
+    assert labels(axes) == [
+        "right claim (1)",
+        "false claim (2)",
+        "closes a cycle (1)",
+        "claim to match",
+    ]
     right, wrong, closing = segments(axes)
     np.testing.assert_array_equal(right, WAY[[[1, 0]], :2])
     np.testing.assert_array_equal(wrong, WAY[[[3, 1]], :2])  # the other had no place to name

@@ -14,6 +14,7 @@ from PIL import Image
 from agents.knn.explorer import KnnExplorer
 from agents.navigation.poses import relative
 from cyclic_env import CyclicLoopEnv, replay
+from cyclic_env.evaluation import evaluate
 from cyclic_env.film import FRAMES_MAX
 
 run_knn = load_script("run_knn")
@@ -149,18 +150,27 @@ def test_a_plan_without_centrelines_has_no_tour_to_compare_with(tmp_path: Path) 
     assert metrics["is_success"]
 
 
-def test_a_run_ends_when_nothing_is_left_to_explore(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_explorer_with_nothing_left_to_explore_stands_for_the_rest_of_the_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     predict = KnnExplorer.predict
 
-    def content(self: KnnExplorer, *arguments: Any) -> Any:
-        action, state = predict(self, *arguments)
-        state[0].done = state[0].steps >= 10
+    def content(self: KnnExplorer, *arguments: Any, **named: Any) -> Any:
+        action, state = predict(self, *arguments, **named)
+        if state[0].steps >= 10:
+            state[0].done = True
+            state[0].pilot.drop()
         return action, state
 
     monkeypatch.setattr(KnnExplorer, "predict", content)
     assert run_knn.main(["--map", "ring", "--no-gif", "--out", str(tmp_path)]) == 0
     metrics = json.loads((tmp_path / "metrics.json").read_text())
-    assert (metrics["steps"], metrics["ending"]) == (10, "nothing left to explore")
+    assert (metrics["stopped_at"], metrics["ending"]) == (10, "step budget spent")
+    assert metrics["path_length_m"] < 3
+    assert "nothing left to explore from step 10 on" in capsys.readouterr().out
+    (episode,) = evaluate(KnnExplorer(), map_name="ring", seeds=[0]).episodes
+    assert [metrics[name] for name in ("steps", "return")] == [episode["steps"], pytest.approx(episode["return"])]
+    assert metrics["reward_terms"] == pytest.approx(episode["reward_terms"])
 
 
 def test_ctrl_c_keeps_what_was_run(

@@ -27,7 +27,38 @@ def calibrated_thresholds() -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplorerConfig:
-    """How the explorer maps, recognises and goes on.
+    """How the explorer maps, recognises and goes on; `preset` makes them by name.
+
+    Parameters
+    ----------
+    detector : {"both", "knn", "position"}
+        What a visited place is told by: its looks (the KNN vote) among the places near, its looks alone, or its
+        position alone.
+    measure : str
+        Similarity of two places' properties; see `agents.knn.similarity.MEASURES`.
+    neighbours : int
+        K: rows that vote.
+    threshold : float, optional
+        Similarity above which a place counts as visited, where no scans are matched; None: as calibrated for the
+        measure, see `calibrated_thresholds`.
+    sectors : int
+        Numbers that a place's properties are, looking ahead.
+    rounding : float
+        Metres that these are whole multiples of.
+    row_spacing : float
+        Metres between rows.
+    both_directions : bool
+        Compare with tables of the opposite direction too, looking back.
+    match_scans : bool
+        Hold the track straight by matching scans, confirm what the vote finds by matching, and mend the track by it.
+    unbounded_only : bool
+        List only openings with no wall within the laser's reach.
+    go_on : bool
+        Go on along the corridor until the place is known or the corridor ends, and only then to the list.
+    order : {"nearest", "first in first out", "last in first out"}
+        In which open areas are gone to.
+    range_max : float
+        Reach of the laser, metres: that of the environment.
 
     Raises
     ------
@@ -36,32 +67,18 @@ class ExplorerConfig:
     """
 
     detector: Literal["both", "knn", "position"] = "both"
-    """What a visited place is told by: its position, its looks (the KNN vote), or looks among the places near."""
     measure: str = "cosine"
-    """Similarity of two places' properties; see `agents.knn.similarity.MEASURES`."""
     neighbours: int = 4
-    """K: rows that vote."""
     threshold: float | None = None
-    """Similarity above which a place counts as visited, if nothing else is asked for; None: as calibrated for the
-    measure, see `calibrated_thresholds`."""
     sectors: int = 7
-    """Numbers that a place's properties are, looking ahead."""
     rounding: float = 0.5
-    """Metres that these are whole multiples of."""
     row_spacing: float = 1.0
-    """Metres between rows."""
     both_directions: bool = True
-    """Compare with tables of the opposite direction too, looking back."""
     match_scans: bool = True
-    """Hold the track straight by matching scans, confirm what the vote finds by matching, and mend the track by it."""
     unbounded_only: bool = False
-    """List only openings with no wall within the laser's reach."""
     go_on: bool = False
-    """Go on along the corridor until the place is known or the corridor ends, and only then to the list."""
     order: Literal["nearest", "first in first out", "last in first out"] = "nearest"
-    """In which open areas are gone to."""
     range_max: float = 12.0
-    """Reach of the laser, metres."""
 
     def __post_init__(self) -> None:
         checked_name("detector", self.detector, DETECTORS)

@@ -19,8 +19,8 @@ from agents.navigation.scan_matching import wall_lines
 from agents.navigation.scans import confirm, despeckle, fill, inside, sound_ends
 from agents.navigation.track import Track
 from agents.scripted import MATCH_START, drive_actions
-from cyclic_env.config import ACTION_TYPES, ActionType, checked_name
-from cyclic_env.errors import ConfigError
+from cyclic_env.config import ACTION_TYPES, ActionType, checked_name, real_array
+from cyclic_env.errors import ConfigError, shown
 
 FIRST_STEPS = 2
 """Steps of standing still at first: the scans that later ones are confirmed by."""
@@ -110,9 +110,11 @@ class KnnExplorer:
         Parameters
         ----------
         observation : dict of arrays
-            ``laser`` `(N, beams)`, ``distance`` `(N, 1)`, ``compass`` `(N, 2)`; or of one robot, without the N.
+            ``laser`` `(N, beams)`, metres, a whole turn to the left from straight ahead; ``distance`` `(N, 1)`, metres
+            driven; ``compass`` `(N, 2)`, the heading's parts east and north. Or of one robot, without the N. A range
+            beyond the config's `range_max`, or that is no number, is one that met nothing.
         state : tuple of Memory, optional
-            As returned by the last call; None at the first.
+            As returned by the last call, which it continues: both are the same objects; None at the first.
         episode_start : (N,) bool, optional
             Robots whose episode has just begun.
         deterministic : bool
@@ -122,26 +124,57 @@ class KnnExplorer:
         -------
         actions : (N, 4) float32, or (N, 2) int64 if discrete; without the N for one robot
         state : tuple of Memory
+
+        Raises
+        ------
+        ConfigError
+            If the observation is none, or the state or `episode_start` is of other robots.
         """
-        if not isinstance(observation, Mapping):
-            raise ConfigError("the observation must be a dict with laser, distance and compass.")
-        laser = np.asarray(observation["laser"], np.float64)
+        laser, distance, compass = self._readings(observation)
         single = laser.ndim == 1
-        laser = np.atleast_2d(laser)
-        distance = np.reshape(observation["distance"], (len(laser),)).astype(np.float64)
-        compass = np.reshape(observation["compass"], (len(laser), 2)).astype(np.float64)
+        laser, distance, compass = np.atleast_2d(laser), np.atleast_1d(distance), np.atleast_2d(compass)
         memories = [None] * len(laser) if state is None else list(state)
         if len(memories) != len(laser):
             raise ConfigError(f"the state is of {len(memories)} robots, the observation of {len(laser)}.")
         if episode_start is not None:
-            begun = np.asarray(episode_start, np.bool_).reshape(len(laser))
+            begun = np.asarray(episode_start, np.bool_).ravel()
+            if len(begun) != len(laser):
+                raise ConfigError(f"episode_start is of {len(begun)} robots, the observation of {len(laser)}.")
             memories = [None if new else memory for new, memory in zip(begun, memories, strict=True)]
+        for memory in memories:
+            if memory is not None and memory.scans.shape[1] != laser.shape[1]:
+                raise ConfigError(
+                    f"the state is of a laser with {memory.scans.shape[1]} beams, the observation of {laser.shape[1]}."
+                )
         kept = tuple(Memory(self.config, laser.shape[1]) if memory is None else memory for memory in memories)
         decisions = np.array(
             [self._decide(memory, laser[row], distance[row], compass[row]) for row, memory in enumerate(kept)]
         )
         actions = drive_actions(decisions[:, :2], self.action_type, decisions[:, 2], decisions[:, 3])
         return (actions[0] if single else actions), kept
+
+    def _readings(self, observation: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return laser `(..., beams)`, distance `(...)` and compass `(..., 2)`, checked, in double precision."""
+        expected = "a dict with the arrays laser (N, beams), distance (N, 1) and compass (N, 2)"
+        if not isinstance(observation, Mapping):
+            raise ConfigError(f"the observation is {shown(observation)}; expected {expected}.")
+        arrays = []
+        for name in ("laser", "distance", "compass"):
+            if name not in observation:
+                raise ConfigError(f"the observation has no {name}; expected {expected}.")
+            arrays.append(real_array(observation[name], f"the observation's {name}", expected, ConfigError))
+        laser, distance, compass = (array.astype(np.float64) for array in arrays)
+        robots = laser.shape[:-1]
+        if laser.ndim not in (1, 2) or distance.shape != (*robots, 1) or compass.shape != (*robots, 2):
+            shapes = ", ".join(str(array.shape) for array in arrays)
+            raise ConfigError(f"the observation's arrays have the shapes {shapes}; expected {expected}.")
+        beams, needed = laser.shape[-1], 2 * (self.config.sectors - 1)
+        if beams < needed:
+            raise ConfigError(f"the laser has {beams} beams; {self.config.sectors} sectors need {needed}: set fewer.")
+        if not (np.isfinite(distance).all() and np.isfinite(compass).all()):
+            raise ConfigError("the observation's distance or compass is not finite; expected numbers.")
+        reach = self.config.range_max
+        return np.clip(np.nan_to_num(laser, nan=reach), 0.0, reach), distance[..., 0], compass
 
     def _decide(
         self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray

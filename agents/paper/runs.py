@@ -98,7 +98,7 @@ def scaled_noise(name: str, scale: float) -> NoiseConfig:
 
 
 def run_explorer(settings: RunSettings) -> RunRecord:
-    """Run an episode to its end, or until the explorer has nothing left to explore.
+    """Run an episode to its end; with nothing left to explore, the explorer stands for the rest of it.
 
     Raises
     ------
@@ -118,9 +118,7 @@ def run_explorer(settings: RunSettings) -> RunRecord:
         if terminated:
             ending = "success"
         elif truncated:
-            ending = "step budget"
-        elif state[0].done:
-            ending = "list empty"
+            ending = "list empty" if state[0].done else "step budget"
     assert state is not None
     memory: Memory = state[0]
     tour = env.floor_plan.closed_tour()

@@ -100,7 +100,7 @@ def load_floor_plan(map_name: MapName) -> FloorPlan:
         raise FloorPlanError(
             f"there is no floor plan file {text!r}; give a path that exists or one of: {', '.join(names)}."
         )
-    raise FloorPlanError(unknown_name("map", text, names))
+    raise FloorPlanError(f"{unknown_name('map', text, names)} Or a file, or a building such as generated:seed=7.")
 
 
 def load_floor_plans(map_name: MapName | Sequence[MapName]) -> PlanPool:
