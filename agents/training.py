@@ -33,8 +33,8 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 import cyclic_env
 from agents.sb3 import CyclicLoopVecEnv, ScanFeatures
 from cyclic_env.config import ACTION_TYPES, ActionType, checked_name, noise_from_name
+from cyclic_env.console import ProgressLine
 from cyclic_env.errors import ConfigError, CyclicLoopError
-from cyclic_env.evaluation import ProgressLine
 from cyclic_env.floor_plans import load_floor_plans, separate_names
 
 ALGORITHMS: Mapping[str, type[BaseAlgorithm]] = {"a2c": A2C, "ppo": PPO, "sac": SAC, "td3": TD3}

@@ -7,21 +7,18 @@ lead every report: a policy that claims everywhere closes cycles too, and says n
 from __future__ import annotations
 
 import math
-import shutil
-import sys
-import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from pathlib import Path
-from typing import Any, Protocol, TextIO
+from typing import Any, Protocol
 
 import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from scipy.special import stdtrit
 
 from cyclic_env.config import is_integer
+from cyclic_env.console import ProgressLine
 from cyclic_env.errors import ConfigError, shown
 from cyclic_env.floor_plans import PlanPool, load_floor_plans, pool_label
 from cyclic_env.vector_env import CyclicLoopVectorEnv
@@ -60,11 +57,6 @@ Z_95 = 1.959963984540054
 
 EPISODES_MAX = 1_000_000
 """Most episodes of one evaluation; more are taken for a slip of the hand."""
-
-REDRAW_S = 0.2
-"""Seconds between two drawings of the progress line on a terminal."""
-REPORT_S = 30.0
-"""Seconds between two lines of progress where there is no terminal, as in a log file."""
 
 
 class Policy(Protocol):
@@ -518,77 +510,3 @@ def score_rows(info: Mapping[str, Any]) -> dict[str, str]:
 def format_rows(rows: Mapping[str, str]) -> str:
     """Return what is said of one episode, one thing a line."""
     return "\n".join(f"{name:>20}  {value}" for name, value in rows.items())
-
-
-def check_writable(path: Path) -> None:
-    """Check, before hours of work, that the file can be written.
-
-    Raises
-    ------
-    ConfigError
-        If it can't.
-    """
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        there = path.exists()
-        path.open("a").close()
-        if not there:
-            path.unlink()
-    except OSError as error:
-        raise ConfigError(f"can't write to {path}: {error.strerror}.") from error
-
-
-def check_outputs(paths: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
-    """Check, before hours of work, that all files can be written, each its own, and none over what is read.
-
-    Raises
-    ------
-    ConfigError
-        If it is not so.
-    """
-    read, written = {path.resolve() for path in inputs}, set[Path]()
-    for path in paths:
-        check_writable(path)
-        if path.resolve() in read:
-            raise ConfigError(f"{path} would be written over, but it is read; give another name or folder.")
-        if path.resolve() in written:
-            raise ConfigError(f"{path} would be written twice; give each file a name of its own.")
-        written.add(path.resolve())
-
-
-class ProgressLine:
-    """How far a long piece of work is, on stderr: a line drawn over itself, or without a terminal a line now and then.
-
-    Parameters
-    ----------
-    stream : text stream, optional
-        In place of stderr.
-    """
-
-    def __init__(self, stream: TextIO | None = None) -> None:
-        self._stream = sys.stderr if stream is None else stream
-        self._terminal = self._stream.isatty()
-        self._every = REDRAW_S if self._terminal else REPORT_S
-        self._shown = -math.inf if self._terminal else time.monotonic()
-        self._width = 0
-
-    def show(self, text: str) -> None:
-        """Show the text, unless another was shown a moment ago."""
-        now = time.monotonic()
-        if now - self._shown < self._every:
-            return
-        self._shown = now
-        if self._terminal:
-            text = text[: shutil.get_terminal_size().columns - 1]  # a longer one would not be drawn over
-            self._stream.write("\r" + text.ljust(self._width))
-            self._width = len(text)
-        else:
-            self._stream.write(text + "\n")
-        self._stream.flush()
-
-    def clear(self) -> None:
-        """Wipe the line from the terminal."""
-        if self._width:
-            self._stream.write("\r" + " " * self._width + "\r")
-            self._stream.flush()
-            self._width = 0

@@ -25,13 +25,12 @@ from cyclic_env.config import NOISE_PRESETS, NoiseConfig, from_mapping, real_arr
 from cyclic_env.engine import INFO
 from cyclic_env.env import CyclicLoopEnv
 from cyclic_env.errors import ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError, shown
-from cyclic_env.evaluation import check_writable
 from cyclic_env.floor_plans import FloorPlan, floor_plan_from_text, floor_plan_to_text, load_floor_plan, map_names
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX
 from cyclic_env.interface import checked_seed
 from cyclic_env.loop_closure import CLAIM
 from cyclic_env.trajectories import dead_reckon
-from cyclic_env.whole_file import whole_file
+from cyclic_env.whole_file import check_writable, whole_file
 
 LAYOUT = 1
 """Version of the file's layout; files of others are refused."""

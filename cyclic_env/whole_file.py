@@ -1,11 +1,13 @@
-"""Writing files so that they are there whole, or as they were."""
+"""Writing files so that they are there whole, or as they were; and, before hours of work, that they can be written."""
 
 from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
+
+from cyclic_env.errors import ConfigError
 
 
 @contextlib.contextmanager
@@ -51,3 +53,39 @@ def write_whole(path: str | Path, text: str) -> Path:
     with whole_file(path) as part:
         part.write_text(text, encoding="utf-8")
     return Path(path)
+
+
+def check_writable(path: Path) -> None:
+    """Check, before hours of work, that the file can be written.
+
+    Raises
+    ------
+    ConfigError
+        If it can't.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        there = path.exists()
+        path.open("a").close()
+        if not there:
+            path.unlink()
+    except OSError as error:
+        raise ConfigError(f"can't write to {path}: {error.strerror}.") from error
+
+
+def check_outputs(paths: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
+    """Check, before hours of work, that all files can be written, each its own, and none over what is read.
+
+    Raises
+    ------
+    ConfigError
+        If it is not so.
+    """
+    read, written = {path.resolve() for path in inputs}, set[Path]()
+    for path in paths:
+        check_writable(path)
+        if path.resolve() in read:
+            raise ConfigError(f"{path} would be written over, but it is read; give another name or folder.")
+        if path.resolve() in written:
+            raise ConfigError(f"{path} would be written twice; give each file a name of its own.")
+        written.add(path.resolve())

@@ -39,12 +39,12 @@ import cyclic_env
 from agents.comparison import require_learning
 from cyclic_env import ConfigError, CyclicLoopVectorEnv, FloorPlan, load_floor_plan, map_names
 from cyclic_env.config import LaserConfig, RobotConfig
+from cyclic_env.console import say
 from cyclic_env.engine import step_rows
-from cyclic_env.evaluation import check_writable
 from cyclic_env.floor_plans.wall_tiles import build_wall_tiles
 from cyclic_env.laser import beam_directions, scan, scan_row
 from cyclic_env.simulation import Simulation
-from cyclic_env.whole_file import write_whole
+from cyclic_env.whole_file import check_writable, write_whole
 
 ROOT = Path(__file__).resolve().parents[1]
 REPEATS = 5
@@ -395,17 +395,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if args.walls:
         measurements = [lambda: measure_walls(1_000_000)]
     versions = f"cyclic_env {cyclic_env.__version__}, Python {platform.python_version()}, pymunk {pymunk.version}"
-    print(f"{versions}, {os.cpu_count()} cores\n")
-    print("| what | measurement | value | unit | target | |\n|---|---|---:|---|---|---|")
+    say(f"{versions}, {os.cpu_count()} cores\n")
+    say("| what | measurement | value | unit | target | |\n|---|---|---:|---|---|---|")
     rows: list[Row] = []
     code = 0
     try:
         for measurement in measurements:
             for row in measurement():
                 rows.append(row)
-                print(
-                    f"| {row.what} | {row.name} | {row.shown} | {row.unit} | {row.target} | {row.verdict} |", flush=True
-                )
+                say(f"| {row.what} | {row.name} | {row.shown} | {row.unit} | {row.target} | {row.verdict} |")
     except KeyboardInterrupt:
         code = 130
     if args.json:

@@ -20,10 +20,10 @@ from collections.abc import Sequence
 from agents.knn.config import THRESHOLDS
 from agents.paper.cache import Cache, check_processes, run_all
 from agents.paper.thresholds import thresholds_file, training_runs
+from cyclic_env.console import ProgressLine, say
 from cyclic_env.errors import ConfigError, CyclicLoopError
-from cyclic_env.evaluation import ProgressLine, check_writable
 from cyclic_env.floor_plans.building_spec import SPLITS
-from cyclic_env.whole_file import write_whole
+from cyclic_env.whole_file import check_writable, write_whole
 
 PLANS = 20
 
@@ -61,8 +61,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\ncalibrate_thresholds.py: stopped; finished runs are kept, and used next time.", file=sys.stderr)
         return 130
     for name, entry in result["measures"].items():
-        print(f"{name:>12}  " + "  ".join(f"{key} {value:.4f}" for key, value in entry.items()))
-    print(f"\nwritten: {args.out}")
+        say(f"{name:>12}  " + "  ".join(f"{key} {value:.4f}" for key, value in entry.items()))
+    say(f"\nwritten: {args.out}")
     return 0
 
 

@@ -20,10 +20,11 @@ from itertools import groupby
 from agents import agent_names, baseline_names
 from agents.comparison import compare
 from cyclic_env import __version__, map_names
+from cyclic_env.console import say
 from cyclic_env.errors import ConfigError, CyclicLoopError
-from cyclic_env.evaluation import Evaluation, check_writable, format_table, table_notes
+from cyclic_env.evaluation import Evaluation, format_table, table_notes
 from cyclic_env.floor_plans import separate_names
-from cyclic_env.whole_file import write_whole
+from cyclic_env.whole_file import check_writable, write_whole
 
 EXAMPLES = """agents by name: {names}
 
@@ -78,7 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"evaluate.py: {error}", file=sys.stderr)
         code = 2
     if evaluations:
-        print(tables(evaluations, markdown=args.markdown))
+        say(tables(evaluations, markdown=args.markdown))
     if code == 130:
         count = sum(len(evaluation.episodes) for evaluation in evaluations)
         kept = f" and in {args.json}" if args.json and evaluations else ""

@@ -23,8 +23,8 @@ import numpy as np
 
 from cyclic_env import CyclicLoopError
 from cyclic_env.colours import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
+from cyclic_env.console import say
 from cyclic_env.errors import ConfigError, shown
-from cyclic_env.evaluation import check_outputs
 from cyclic_env.floor_plans import (
     FloorPlan,
     OccupancyGrid,
@@ -38,7 +38,7 @@ from cyclic_env.floor_plans import (
 )
 from cyclic_env.floor_plans.occupancy import IMAGE_SUFFIXES, UNKNOWN
 from cyclic_env.floor_plans.yaml_files import name_of, read_yaml
-from cyclic_env.whole_file import whole_file
+from cyclic_env.whole_file import check_outputs, whole_file
 
 EXAMPLES = """examples:
   python scripts/import_map.py willow.yaml --out my_plan.yaml --figure my_plan.png
@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("\nimport_map.py: stopped; not all files were written.", file=sys.stderr)
         return 130
-    print(f"\nwritten: {', '.join(map(str, written))}" if written else "\nnothing written; give --out, to keep it")
+    say(f"\nwritten: {', '.join(map(str, written))}" if written else "\nnothing written; give --out, to keep it")
     return 0
 
 
@@ -121,12 +121,12 @@ def run(args: argparse.Namespace) -> list[Path]:
         if not plan.source:
             name = name_of(inputs[0]) + inputs[0].suffix
             plan = replace(plan, source=f"traced from {name} by scripts/import_map.py")
-        print(table(plan, grid, tracing, seen - began, time.perf_counter() - seen))
+        say(table(plan, grid, tracing, seen - began, time.perf_counter() - seen))
     else:
         if not args.export or args.start or options:
             raise ConfigError(f"{args.input} is a floor plan already: give --export, and with it --resolution at most.")
         plan = load_floor_plan(args.input)
-        print(table(plan))
+        say(table(plan))
     written = []
     exports: list[Path] = []
     exported: OccupancyGrid | None = None
@@ -140,7 +140,7 @@ def run(args: argparse.Namespace) -> list[Path]:
         resolution = args.resolution if args.resolution is not None else grid.resolution if grid else EXPORT_RESOLUTION
         exported = rasterise(plan, resolution)
         share = exported.free.sum() * resolution**2 / plan.free_area
-        print(
+        say(
             f"{'export':>10}  {exported.cells.shape[1]:,} x {exported.cells.shape[0]:,} pixels of {resolution:g} m, "
             f"free {share:.1%} of the area"
         )

@@ -26,9 +26,10 @@ from scipy import ndimage
 from shapely import Polygon
 
 from cyclic_env import CyclicLoopError
-from cyclic_env.evaluation import ProgressLine, check_outputs
+from cyclic_env.console import ProgressLine, say
 from cyclic_env.floor_plans import FloorPlan, OccupancyGrid, polygon_from_corridors, rasterise, write_occupancy_grid
 from cyclic_env.floor_plans.occupancy import FREE, OCCUPIED, UNKNOWN
+from cyclic_env.whole_file import check_outputs
 
 RESOLUTION = 0.05
 """Metres a pixel, as most scanned maps have it."""
@@ -81,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             grid = draw()
             write_occupancy_grid(grid, path)
             rows, columns = grid.cells.shape
-            print(f"written: {path}, {columns:,} x {rows:,} pixels", flush=True)
+            say(f"written: {path}, {columns:,} x {rows:,} pixels")
     except (CyclicLoopError, OSError) as error:
         print(f"make_ros_maps.py: {error}", file=sys.stderr)
         return 2

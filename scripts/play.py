@@ -15,6 +15,7 @@ import argparse
 from collections.abc import Sequence
 
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopError, Recorder, map_names
+from cyclic_env.console import say
 from cyclic_env.errors import shown
 from cyclic_env.evaluation import format_rows, score_rows
 from cyclic_env.play import SHOWS, Play
@@ -52,9 +53,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             except KeyboardInterrupt:
                 code = 130
             recorder.save()
-            print(scores(play))
+            say(scores(play))
             if recorder.path is not None and recorder.steps:
-                print(f"\nrecorded: {recorder.path}; see it again: python scripts/replay.py {recorder.path} --human")
+                say(f"\nrecorded: {recorder.path}; see it again: python scripts/replay.py {recorder.path} --human")
     except (CyclicLoopError, OSError) as error:
         print(f"play.py: {error}", file=sys.stderr)
         return 2

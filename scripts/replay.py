@@ -16,9 +16,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, RecordingError, read_recording, replay
-from cyclic_env.evaluation import ProgressLine, check_outputs, format_rows, score_rows
+from cyclic_env.console import ProgressLine, say
+from cyclic_env.evaluation import format_rows, score_rows
 from cyclic_env.recording import Recording, Replay
 from cyclic_env.trajectories import ate
+from cyclic_env.whole_file import check_outputs
 
 if TYPE_CHECKING:
     from cyclic_env.film import Film
@@ -55,10 +57,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
             raise RecordingError(f"{args.file}: {error}") from error
         finally:
             progress.clear()
-        print(report(recording, outcome))
+        say(report(recording, outcome))
         if film is not None:
             film.write(args.gif)
-            print(f"\nwritten: {args.gif}")
+            say(f"\nwritten: {args.gif}")
     except (CyclicLoopError, OSError) as error:
         print(f"replay.py: {error}", file=sys.stderr)
         return 2

@@ -18,8 +18,9 @@ from collections.abc import Sequence
 
 from agents.paper.cache import check_processes
 from agents.paper.sections import FULL, QUICK
+from cyclic_env.console import ProgressLine, say
 from cyclic_env.errors import CyclicLoopError
-from cyclic_env.evaluation import ProgressLine, check_writable
+from cyclic_env.whole_file import check_writable
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -52,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print("\nreproduce_paper.py: stopped; what was worked out is kept, and used next time.", file=sys.stderr)
         return 130
     progress.clear()
-    print(f"written: {written[0]}, and {len(written) - 1} figures and tables")
+    say(f"written: {written[0]}, and {len(written) - 1} figures and tables")
     return 0
 
 

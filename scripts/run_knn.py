@@ -26,10 +26,11 @@ from agents.knn.config import DETECTORS, PRESETS, preset
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.knn.similarity import MEASURES
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, __version__, map_names
-from cyclic_env.evaluation import ProgressLine, check_outputs, format_rows, score_rows
+from cyclic_env.console import ProgressLine, say
+from cyclic_env.evaluation import format_rows, score_rows
 from cyclic_env.recording import write_recording
 from cyclic_env.trajectories import ate, write_g2o, write_tum
-from cyclic_env.whole_file import whole_file, write_whole
+from cyclic_env.whole_file import check_outputs, whole_file, write_whole
 
 if TYPE_CHECKING:
     from cyclic_env.film import Film
@@ -85,7 +86,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         settings = {"preset": args.preset, "detector": explorer.config.detector, "measure": explorer.config.measure}
         settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
         metrics = run.metrics() | settings | {"cyclic_env": __version__}
-        print(score_table(metrics))
+        say(score_table(metrics))
         write_whole(metrics_file, json.dumps(metrics, indent=1) + "\n")
         if args.export is not None:
             export(run, args.export)
@@ -102,7 +103,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if run.ending == "Ctrl-C":
         print(f"run_knn.py: stopped after {run.steps:,} steps; what was run is in {kept}.", file=sys.stderr)
         return 130
-    print(f"\nwritten: {kept}")
+    say(f"\nwritten: {kept}")
     return 0
 
 

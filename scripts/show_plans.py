@@ -23,9 +23,9 @@ import numpy as np
 from cyclic_env import CyclicLoopError, FloorPlan, map_names
 from cyclic_env.aliasing import look_alikes
 from cyclic_env.compiled import compile_notice
-from cyclic_env.evaluation import ProgressLine, check_outputs
+from cyclic_env.console import ProgressLine, say
 from cyclic_env.floor_plans import load_floor_plans
-from cyclic_env.whole_file import whole_file, write_whole
+from cyclic_env.whole_file import check_outputs, whole_file, write_whole
 
 FIGURE_DPI = 150
 EXAMPLES = """examples:
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         code = 130
     if not rows:
         return code
-    print(table(rows))
+    say(table(rows))
     try:
         if args.json:
             write_whole(args.json, json.dumps([row._asdict() for row in rows], indent=1) + "\n")

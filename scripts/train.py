@@ -16,6 +16,7 @@ import shlex
 from collections.abc import Sequence
 
 from agents.comparison import require_learning
+from cyclic_env.console import say
 from cyclic_env.errors import CyclicLoopError
 from cyclic_env.floor_plans import separate_names
 
@@ -63,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return 130
-    print(f"{out / MODEL}: {model.num_timesteps:,} steps. To score it: python scripts/evaluate.py {out}")
+    say(f"{out / MODEL}: {model.num_timesteps:,} steps. To score it: python scripts/evaluate.py {out}")
     return 0
 
 

@@ -17,9 +17,9 @@ import pytest
 
 from agents import make_agent
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopError, CyclicLoopVectorEnv
+from cyclic_env.console import ProgressLine
 from cyclic_env.evaluation import (
     Evaluation,
-    ProgressLine,
     evaluate,
     format_table,
     mean_interval,

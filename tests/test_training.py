@@ -27,7 +27,8 @@ from agents.training import (
     train,
 )
 from cyclic_env import ConfigError, CyclicLoopEnv, UsageError
-from cyclic_env.evaluation import ProgressLine, evaluate
+from cyclic_env.console import ProgressLine
+from cyclic_env.evaluation import evaluate
 
 ROOT = Path(__file__).parents[1]
 BUDGET = 40
@@ -303,7 +304,7 @@ def test_checkpoints_are_written_on_the_way(tmp_path: Path, monkeypatch: pytest.
 def test_training_says_where_it_will_end_and_how_far_it_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("cyclic_env.evaluation.REPORT_S", 0.0)
+    monkeypatch.setattr("cyclic_env.console.REPORT_S", 0.0)
     model, _ = train(TrainingSettings(num_envs=4, step_budget=200), steps=900, out=tmp_path)
     first, *lines = capsys.readouterr().err.splitlines()
     assert model.num_timesteps == 1024
