@@ -17,10 +17,12 @@ REPORT_S = 30.0
 
 
 def say(text: str) -> None:
-    """Print to stdout at once; if nobody reads it any more, as after ``| head``, work goes on in silence."""
+    """Print to stdout at once; if that can't be, as after ``| head`` or on a full disk, work goes on without."""
     try:
         print(text, flush=True)
-    except BrokenPipeError:
+    except OSError as error:
+        if not isinstance(error, BrokenPipeError):
+            print(f"can't print: {error.strerror}; the rest is not shown.", file=sys.stderr)
         with Path(os.devnull).open("w") as nowhere:  # what is left of the text, too, which Python writes when it ends
             os.dup2(nowhere.fileno(), sys.stdout.fileno())
 

@@ -25,10 +25,11 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     OSError
         Naming `path`, if it can't be written.
     """
-    path = Path(os.path.realpath(path))  # what a symbolic link points to is replaced, not the link
+    path = Path(path)
     if path.exists() and not path.is_file():
         yield path
         return
+    path = Path(os.path.realpath(path))  # what a symbolic link points to is replaced, not the link
     part = path.with_name(f".{path.stem[:40]}.{os.getpid()}.part{path.suffix}")
     try:
         yield part
@@ -65,10 +66,12 @@ def check_writable(path: Path) -> None:
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
+        if path.is_fifo():
+            return  # who opens it waits for a reader
         there = path.exists()
         path.open("a").close()
         if not there:
-            path.unlink()
+            path.resolve().unlink()
     except OSError as error:
         raise ConfigError(f"can't write to {path}: {error.strerror}.") from error
 

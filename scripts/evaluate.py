@@ -68,11 +68,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     code = 0
     try:
         for evaluation in chosen_evaluations(args):
+            if not evaluation.complete:
+                code = 130
+            if not evaluation.episodes:
+                break
             evaluations.append(evaluation)
             if args.json:
                 write_json(evaluations, args.json)
-            if not evaluation.complete:
-                code = 130
     except KeyboardInterrupt:
         code = 130
     except (CyclicLoopError, OSError) as error:

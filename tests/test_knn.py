@@ -4,24 +4,26 @@ from __future__ import annotations
 
 import itertools
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 
-from agents.knn.config import PRESETS, preset
+from agents.knn.config import PRESETS, calibrated_thresholds, preset
 from agents.knn.detector import Detector, returned
 from agents.knn.directions import EAST, NORTH, WEST, compass_direction, sector_features
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.navigation.places import Places
-from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv
+from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv, FloorPlan
 from cyclic_env.errors import ConfigError
 
 BEAMS = 180
 
 
 def explore(
-    name: str, explorer: KnnExplorer | None = None, *, seed: int = 0, steps: int = 10**9, **settings: Any
+    name: str | FloorPlan, explorer: KnnExplorer | None = None, *, seed: int = 0, steps: int = 10**9, **settings: Any
 ) -> tuple[dict[str, Any], Memory]:
     """Run an episode to its end, or until nothing is left to explore; return the last info and the memory."""
     explorer = KnnExplorer() if explorer is None else explorer
@@ -185,6 +187,7 @@ GARBAGE = {
     "a compass stuck": {"compass": lambda rng, t: np.array([1.0, 0.0])},
     "a compass at random": {"compass": lambda rng, t: rng.uniform(-1, 1, 2)},
     "a compass at zero": {"compass": lambda rng, t: np.zeros(2)},
+    "a distance that jumps a little": {"distance": lambda rng, t: 0.1 * t + rng.uniform(-5, 5, 1)},
     "a distance that jumps": {"distance": lambda rng, t: rng.uniform(-1e5, 1e5, 1)},
     "a distance stuck": {"distance": lambda rng, t: np.zeros(1)},
 }
@@ -223,6 +226,8 @@ def test_garbage_neither_raises_nor_hangs_and_claiming_stops(kind: str) -> None:
         ({"rounding": -1.0}, "rounding is -1.0"),
         ({"threshold": 3.0}, "threshold is 3.0"),
         ({"neighbors": 3}, "neighbours"),
+        ({"neighbours": 10**5000}, "neighbours is"),
+        ({"match_scans": "False"}, "match_scans is 'False'"),
     ],
 )
 def test_settings_that_do_not_fit_are_refused_with_a_hint(changes: dict[str, Any], message: str) -> None:
@@ -252,6 +257,7 @@ def test_a_state_of_another_batch_is_refused() -> None:
         ({"distance": np.zeros((3, 1))}, r"\(3, 1\)"),
         ({"compass": np.full((2, 2), np.nan)}, "not finite"),
         ({"laser": np.ones((2, 11))}, "7 sectors need 12"),
+        ({"distance": np.full((2, 1), 1e20)}, r"at most 100000 m"),
     ],
 )
 def test_an_observation_that_is_none_is_refused_with_what_is_expected(changes: dict[str, Any], message: str) -> None:
@@ -281,3 +287,34 @@ def test_ranges_that_are_infinite_or_no_numbers_met_nothing() -> None:
         actions, state = explorer.predict({**observation, "laser": laser}, state)
         others, other = explorer.predict({**observation, "laser": odd}, other)
         np.testing.assert_array_equal(actions, others)
+
+
+def test_a_config_or_a_state_that_is_none_is_refused() -> None:
+    with pytest.raises(ConfigError, match="expected an ExplorerConfig"):
+        KnnExplorer("paper")  # pyright: ignore[reportArgumentType]
+    for state in (5, "x", (1, 2)):
+        with pytest.raises(ConfigError, match="expected what the last predict returned"):
+            KnnExplorer().predict(of_two_robots(), state)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"measures": {}}', '{"measures": {"cosine": null}}'])
+def test_damaged_thresholds_are_one_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setattr("agents.knn.config.THRESHOLDS", tmp_path / "thresholds.json")
+    (tmp_path / "thresholds.json").write_text(text)
+    with pytest.raises(ConfigError, match=r"calibrate_thresholds.py"):
+        calibrated_thresholds.__wrapped__()
+
+
+def test_a_distance_meter_need_not_begin_at_zero() -> None:
+    explorer = KnnExplorer()
+    observation = {"laser": np.full(BEAMS, 3.0), "distance": np.array([1234.5]), "compass": np.array([1.0, 0.0])}
+    _, state = explorer.predict(observation)
+    _, state = explorer.predict({**observation, "distance": np.array([1234.7])}, state)
+    np.testing.assert_allclose(state[0].track.pose, (0.2, 0.0, 0.0), atol=1e-9)
+    assert not state[0].trusted_from
+
+
+def test_an_open_hall_is_seen_to_its_ends_with_many_beams() -> None:
+    hall = FloorPlan("hall", shapely.box(0, 0, 40, 40), (20, 20, 0))
+    info, memory = explore(hall, laser={"num_beams": 1080})
+    assert info["coverage"] > 0.99 or not memory.done

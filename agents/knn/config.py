@@ -5,24 +5,39 @@ from __future__ import annotations
 import json
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from numbers import Real
 from pathlib import Path
 from typing import Any, Literal
 
-from agents.knn.similarity import measure_by_name
+import numpy as np
+
+from agents.knn.similarity import MEASURES, measure_by_name
 from cyclic_env.config import checked_name, is_integer
 from cyclic_env.errors import ConfigError, shown
 
 DETECTORS = ("both", "knn", "position")
 ORDERS = ("nearest", "first in first out", "last in first out")
+MOST = 1000
+"""Of whole numbers, and of metres."""
 THRESHOLDS = Path(__file__).with_name("thresholds.json")
 """Written by ``scripts/calibrate_thresholds.py``."""
 
 
 @lru_cache(maxsize=1)
 def calibrated_thresholds() -> dict[str, float]:
-    """Return for each measure the similarity from which a place counts as visited, as calibrated on training plans."""
-    measures = json.loads(THRESHOLDS.read_text(encoding="utf-8"))["measures"]
-    return {name: entry["threshold"] for name, entry in measures.items()}
+    """Return for each measure the similarity from which a place counts as visited, as calibrated on training plans.
+
+    Raises
+    ------
+    ConfigError
+        If their file is missing or damaged.
+    """
+    try:
+        measures = json.loads(THRESHOLDS.read_text(encoding="utf-8"))["measures"]
+        return {name: float(measures[name]["threshold"]) for name in MEASURES}
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        hint = "make it anew with scripts/calibrate_thresholds.py"
+        raise ConfigError(f"{THRESHOLDS}: no file of thresholds for all measures; {hint}.") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -86,13 +101,17 @@ class ExplorerConfig:
         measure_by_name(self.measure)
         for name, least in (("neighbours", 1), ("sectors", 2)):
             value = getattr(self, name)
-            if not is_integer(value) or value < least:
-                raise ConfigError(f"{name} is {shown(value)}; expected a whole number of at least {least}.")
+            if not is_integer(value) or not least <= value <= MOST:
+                raise ConfigError(f"{name} is {shown(value)}; expected a whole number from {least} to {MOST}.")
+        for name in ("both_directions", "match_scans", "unbounded_only", "go_on"):
+            value = getattr(self, name)
+            if not isinstance(value, bool | np.bool_):
+                raise ConfigError(f"{name} is {shown(value)}; expected True or False.")
         for name in ("rounding", "row_spacing", "range_max"):
             value = getattr(self, name)
-            if not isinstance(value, int | float) or not 0 < value < 1000:
+            if not isinstance(value, Real) or not 0 < float(value) < MOST:
                 raise ConfigError(f"{name} is {shown(value)}; expected metres above 0.")
-        if self.threshold is not None and not (isinstance(self.threshold, int | float) and -1 <= self.threshold <= 1):
+        if self.threshold is not None and not (isinstance(self.threshold, Real) and -1 <= float(self.threshold) <= 1):
             raise ConfigError(f"threshold is {shown(self.threshold)}; expected a similarity, at most 1, or None.")
 
     @property

@@ -21,6 +21,7 @@ from agents.navigation.track import Track
 from agents.scripted import MATCH_START, drive_actions
 from cyclic_env.config import ACTION_TYPES, ActionType, checked_name, real_array
 from cyclic_env.errors import ConfigError, shown
+from cyclic_env.sensors import DISTANCE_MAX
 
 FIRST_STEPS = 2
 """Steps of standing still at first: the scans that later ones are confirmed by."""
@@ -28,6 +29,10 @@ SCANS_KEPT = 5
 """Scans that are kept as they were measured, by which openings are verified when they stand in the middle."""
 LOOK_AGAIN = 15
 """Steps after which the goal is thought over, if there was no new row: three seconds."""
+ADVANCE_MAX, COMPASS_MIN = 2.0, 0.5
+"""Metres that no robot drives in a step, and least length of a unit vector: else the sensors are out of order."""
+DISTRUST = 100
+"""Steps since they were, for which nothing is claimed."""
 IN_SIGHT_ROWS = 3
 """Rows back to which an opening counts as being in sight."""
 AHEAD = math.radians(120)
@@ -57,6 +62,8 @@ class Memory:
         Whether the last row's place was known.
     done : bool
         The list is empty: there is nothing left to explore.
+    trusted_from : int
+        Step from which sensors that were out of order are trusted again, so that claims are made.
     measured, scans, poses : (SCANS_KEPT, beams), the same and (SCANS_KEPT, 3)
         The latest first: scans as measured, without speckle, and where they were taken.
     """
@@ -75,6 +82,7 @@ class Memory:
         self.visited = False
         self.on_list = False
         self.done = False
+        self.trusted_from = 0
         self.measured = np.zeros((SCANS_KEPT, beams))
         self.scans = np.zeros((SCANS_KEPT, beams))
         self.poses = np.zeros((SCANS_KEPT, 3))
@@ -95,6 +103,8 @@ class KnnExplorer:
     """
 
     def __init__(self, config: ExplorerConfig | None = None, *, action_type: ActionType = "wheels") -> None:
+        if config is not None and not isinstance(config, ExplorerConfig):
+            raise ConfigError(f"the config is {shown(config)}; expected an ExplorerConfig, as preset() makes.")
         self.config = preset("extended") if config is None else config
         self.action_type: ActionType = checked_name("action type", action_type, ACTION_TYPES)
 
@@ -133,7 +143,9 @@ class KnnExplorer:
         laser, distance, compass = self._readings(observation)
         single = laser.ndim == 1
         laser, distance, compass = np.atleast_2d(laser), np.atleast_1d(distance), np.atleast_2d(compass)
-        memories = [None] * len(laser) if state is None else list(state)
+        memories = [None] * len(laser) if state is None else state
+        if not isinstance(memories, list | tuple) or not all(isinstance(one, Memory | None) for one in memories):
+            raise ConfigError(f"the state is {shown(state)}; expected what the last predict returned, or None.")
         if len(memories) != len(laser):
             raise ConfigError(f"the state is of {len(memories)} robots, the observation of {len(laser)}.")
         if episode_start is not None:
@@ -171,8 +183,10 @@ class KnnExplorer:
         beams, needed = laser.shape[-1], 2 * (self.config.sectors - 1)
         if beams < needed:
             raise ConfigError(f"the laser has {beams} beams; {self.config.sectors} sectors need {needed}: set fewer.")
-        if not (np.isfinite(distance).all() and np.isfinite(compass).all()):
-            raise ConfigError("the observation's distance or compass is not finite; expected numbers.")
+        if not (np.abs(distance) <= DISTANCE_MAX).all():
+            raise ConfigError(f"the observation's distance is {shown(distance)}; expected at most {DISTANCE_MAX:g} m.")
+        if not np.isfinite(compass).all():
+            raise ConfigError("the observation's compass is not finite; expected the heading's parts east and north.")
         reach = self.config.range_max
         return np.clip(np.nan_to_num(laser, nan=reach), 0.0, reach), distance[..., 0], compass
 
@@ -212,13 +226,16 @@ class KnnExplorer:
             memory.since_choice += 1
         memory.steps += 1
         speed, turn = pilot.drive(track.pose, memory.scans[0])
-        if match is None:
+        if match is None or memory.steps < memory.trusted_from:
             return speed, turn, -1.0, MATCH_START
         memory.claims.append((memory.steps, match))
         return speed, turn, 1.0, 2 * match / memory.steps - 1
 
     def _sense(self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray) -> None:
+        driven = memory.track.path
         memory.track.advance(distance, compass)
+        if memory.track.path - driven > ADVANCE_MAX or math.hypot(*compass) < COMPASS_MIN:
+            memory.trusted_from = memory.steps + DISTRUST
         for kept, new in ((memory.measured, laser), (memory.scans, laser), (memory.poses, memory.track.pose)):
             kept[1:] = kept[:-1]
             kept[0] = new

@@ -34,7 +34,7 @@ WITNESSES = 3
 ONWARD = 2.0
 """Metres that the robot goes on at a time from an opening that it comes to from the other side."""
 MOST_POINTS = 400
-"""Of one scan; more are left out."""
+"""Of one scan, or two a beam where that is more; others are left out."""
 SAME_AREA = 2.0
 """Metres between points of one area at most: less than between two doors."""
 LEFT_BEHIND = 6.0
@@ -130,7 +130,7 @@ class OpenAreas:
         self._list(places, pose)
 
     def _add(self, places: Places, last: int, near: np.ndarray) -> None:
-        polar = np.empty((MOST_POINTS, 3))
+        polar = np.empty((max(MOST_POINTS, 2 * self.beams), 3))
         polar = polar[: open_points(places.scan[last], self.range_max, polar)]
         points = to_track(polar, np.tile(places.pose[last], (len(polar), 1)), 2 * np.pi / self.beams)
         new = ~self._settles(places, near[near != last], points)

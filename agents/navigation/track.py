@@ -100,8 +100,9 @@ class Track:
     def advance(self, distance: float, compass: np.ndarray) -> None:
         """Take a reading of the distance meter and of the compass `(2,)`."""
         heading = math.atan2(compass[1], compass[0])
-        driven, self._distance = distance - self._distance, distance
         before = heading if self._compass is None else self._compass
+        driven = 0.0 if self._compass is None else distance - self._distance
+        self._distance = distance
         middle = before + 0.5 * wrap(heading - before)  # an arc's chord points midway between its ends' headings
         self._compass = heading
         self.odometry += driven * np.array([math.cos(middle), math.sin(middle)])

@@ -7,6 +7,7 @@ import json
 import multiprocessing
 import os
 import signal
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -151,6 +152,7 @@ def run_all(cache: Cache, runs: Sequence[RunSettings], processes: int) -> Iterat
             yield done, len(unique)
         return
     pool = ProcessPoolExecutor(min(processes, len(left)), mp_context=multiprocessing.get_context("spawn"))
+    terminated = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # by way of `finally`
     try:
         handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: on Ctrl-C this process ends the others
         try:
@@ -167,9 +169,12 @@ def run_all(cache: Cache, runs: Sequence[RunSettings], processes: int) -> Iterat
     except BrokenProcessPool as error:
         raise CyclicLoopError("a process was ended from outside; run it again, with --processes 1 perhaps.") from error
     finally:
+        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not stop this half-way
         pool.shutdown(wait=False, cancel_futures=True)
         for child in multiprocessing.active_children():  # at once, if interrupted; else there are none
             child.terminate()
             child.join()
             for part in cache.folder.glob(f".*.{child.pid}.part.*"):
                 part.unlink(missing_ok=True)
+        signal.signal(signal.SIGTERM, terminated)
+        signal.signal(signal.SIGINT, handler)
