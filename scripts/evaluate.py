@@ -68,13 +68,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     code = 0
     try:
         for evaluation in chosen_evaluations(args):
+            evaluations.append(evaluation)
+            if args.json and any(one.episodes for one in evaluations):
+                write_json(evaluations, args.json)
             if not evaluation.complete:
                 code = 130
-            if not evaluation.episodes:
-                break
-            evaluations.append(evaluation)
-            if args.json:
-                write_json(evaluations, args.json)
     except KeyboardInterrupt:
         code = 130
     except (CyclicLoopError, OSError) as error:

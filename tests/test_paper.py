@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import re
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -129,6 +130,17 @@ def test_a_way_driven_again_returns_at_all_rows_of_its_second_lap(eight: RunReco
     assert laps.revisit[count + 30 :].mean() > 0.95
     assert np.hypot(*(laps.position[count:] - laps.position[:count]).T).max() < 0.6
     assert set(laps.group[count:]).isdisjoint(laps.group[:count])
+
+
+def test_a_way_close_by_a_wall_can_be_driven_again(eight: RunRecord) -> None:
+    """Between two steps of a robot that slides along a wall its way may be nearer to it than the robot fits."""
+    plan = load_floor_plan("figure_eight")
+    west, south, *_ = plan.bounds
+    way = eight.way.copy()
+    corner = min(plan.rings[0].tolist(), key=lambda point: math.hypot(point[0] - west, point[1] - south))
+    way[:, :2] = np.array(corner) + 0.2
+    laps = drive_again(replace(eight, way=way), EIGHT, 3, noise="ideal")
+    assert laps.features[len(eight.step) :].min() == 0
 
 
 # Recognition.

@@ -106,6 +106,7 @@ def test_ctrl_c_in_evaluate_keeps_the_agents_that_are_done(
     assert evaluate_main(["spinning", *rest]) == 130
     said = capsys.readouterr()
     assert said.err == "evaluate.py: stopped before any episode had ended, so there is nothing to keep.\n"
+    assert not file.exists()
     assert evaluate_main(["standing_still", "spinning", "random", *rest]) == 130
     said = capsys.readouterr()
     assert said.err == f"evaluate.py: stopped; the 2 episodes that had ended are above and in {file}.\n"

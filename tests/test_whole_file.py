@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
-from cyclic_env.whole_file import whole_file
+from cyclic_env.errors import ConfigError
+from cyclic_env.whole_file import check_outputs, check_writable, whole_file, write_whole
 
 
 def test_a_file_that_is_done_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
@@ -47,6 +51,35 @@ def test_a_link_stays_a_link_and_a_device_a_device(tmp_path: Path) -> None:
     with whole_file("/dev/null") as part:
         part.write_text("gone")
     assert Path("/dev/null").is_char_device()
+
+
+def test_a_pipe_is_written_to_under_its_link(tmp_path: Path) -> None:
+    """As with ``--json /dev/stdout | cat`` and ``--json >(cat)``."""
+    reader, writer = os.pipe()
+    write_whole(f"/dev/fd/{writer}", "through")
+    assert os.read(reader, 100) == b"through"
+    os.close(reader)
+    os.close(writer)
+    os.mkfifo(tmp_path / "fifo")
+    check_writable(tmp_path / "fifo")  # and does not wait for its reader
+
+
+def test_to_check_an_output_leaves_no_trace(tmp_path: Path) -> None:
+    link = tmp_path / "link"
+    link.symlink_to(tmp_path / "later")
+    check_outputs([link, tmp_path / "new" / "file"])
+    assert link.is_symlink()
+    assert not (tmp_path / "later").exists()
+    assert list((tmp_path / "new").iterdir()) == []
+    with pytest.raises(ConfigError, match="written twice"):
+        check_outputs([link, tmp_path / "later"])
+
+
+def test_what_cannot_be_printed_is_said_once_and_work_goes_on() -> None:
+    code = "from cyclic_env.console import say; say('lost'); say('too'); import sys; sys.stderr.write('done')"
+    with Path("/dev/full").open("w") as full:
+        run = subprocess.run([sys.executable, "-c", code], stdout=full, stderr=subprocess.PIPE, text=True, check=True)
+    assert run.stderr == "can't print: No space left on device; the rest is not shown.\ndone"
 
 
 def test_two_processes_that_write_one_file_leave_it_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
