@@ -45,8 +45,6 @@ AGENT_STYLES: dict[str, dict[str, Any]] = {
     )
 }
 """Told apart by their markers where colours are not, or lines lie on each other."""
-CROWDED = 45.0, 8.0
-"""Metres east and north between two marks within which the later one has its label below."""
 STEP = re.compile(r"^\s*# (Steps? .+)$", re.MULTILINE)
 """The comments of the explorer's code that name the paper's steps."""
 
@@ -67,7 +65,8 @@ def write_small(picture: Path, path: Path) -> Path:
         scale = min(1.0, SMALL_WIDTH / image.width)
         size = (round(scale * image.width), round(scale * image.height))
         small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-        small.quantize(SMALL_COLOURS, dither=Image.Dither.NONE).save(part, optimize=True)
+        few = small.quantize(SMALL_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)  # keeps rare colours
+        few.save(part, optimize=True)
     return path
 
 
@@ -180,23 +179,37 @@ def indicators_and_vote(plan: FloorPlan, lap: SecondLap) -> Figure:
     return figure
 
 
+def _free_offset(place: np.ndarray, width: float, taken: list[np.ndarray]) -> tuple[float, float]:
+    """Return where a label's middle goes, off its place `(2,)`, so that it covers none of the boxes taken; points.
+
+    Boxes are west, south, east and north `(4,)`. If all is taken, the label goes above.
+    """
+    half = np.array([width / 2, 5.0])
+    offsets = list(itertools.product((0.0, half[0] + 4, -half[0] - 4), (13.0, -13.0, 25.0, -25.0, 37.0, -37.0)))
+    boxes = [np.concatenate([place + offset - half, place + offset + half]) for offset in offsets]
+    free = [all((box[:2] > one[2:]).any() or (box[2:] < one[:2]).any() for one in taken) for box in boxes]
+    best = int(np.argmax(free))
+    taken.append(boxes[best])
+    return offsets[best]
+
+
 def _mark(axes: Axes, lap: SecondLap, found: Mapping[str, int]) -> None:
     """Mark the query, and what each measure finds; those at one place have one label."""
     position = lap.record.position
     by_row: dict[int, list[str]] = {}
     for name, row in found.items():
         by_row.setdefault(row, []).append(name)
-    middle, taken = sum(axes.get_xlim()) / 2, list[np.ndarray]()
-    for row, names in by_row.items():
+    crosses = axes.transData.transform(position[list(by_row)]) / axes.figure.dpi * 72  # points
+    taken = [np.concatenate([cross - 6, cross + 6]) for cross in crosses]
+    for (row, names), cross in zip(by_row.items(), crosses, strict=True):
         x, y = position[row]
         colour, label = ("#d43d2a", "found by cosine") if "cosine" in names else ("#8c50a5", None)
         axes.plot(x, y, marker="X", markersize=9, linestyle="", color=colour, label=label, zorder=6)
-        crowded = any((np.abs(position[row] - other) < CROWDED).all() for other in taken)
-        taken.append(position[row])
-        side = {"xytext": (-9 if x > middle else 9, -16 if crowded else 9), "ha": "right" if x > middle else "left"}
+        text = ", ".join(names)
+        offset = _free_offset(cross, 4.4 * len(text), taken)
         halo = [withStroke(linewidth=2, foreground="white")]
         style = {"textcoords": "offset points", "fontsize": 7.5, "color": colour, "path_effects": halo, "zorder": 8}
-        axes.annotate("\n".join(textwrap.wrap(", ".join(names), 36)), (x, y), **side, **style)
+        axes.annotate(text, (x, y), offset, ha="center", va="center", **style)
     if any("cosine" not in names for names in by_row.values()):
         axes.plot([], [], marker="X", markersize=9, linestyle="", color="#8c50a5", label="by other measures")
     style = {"marker": "D", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.8, "color": "#111111"}
