@@ -187,8 +187,7 @@ class KnnExplorer:
             raise ConfigError(f"the observation's distance is {shown(distance)}; expected at most {DISTANCE_MAX:g} m.")
         if not np.isfinite(compass).all():
             raise ConfigError("the observation's compass is not finite; expected the heading's parts east and north.")
-        reach = self.config.range_max
-        return np.clip(np.nan_to_num(laser, nan=reach), 0.0, reach), distance[..., 0], compass
+        return np.fmax(np.fmin(laser, self.config.range_max), 0.0), distance[..., 0], compass  # of a NaN, the other
 
     def _decide(
         self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray
