@@ -161,19 +161,20 @@ class Run:
     def drive(self, explorer: KnnExplorer, seed: int) -> None:
         """Run the episode to its end, or up to Ctrl-C."""
         progress = ProgressLine()
+        compiled = event.RecordingListener()
+        event.register("numba:compiler_lock", compiled)
         try:
             observation, self.info = self.recorder.reset(seed=seed)
             state = None
             while not self.ending:
                 if self.film is not None and self.stopped_at is None:
                     self.film.take(self.steps)
-                with event.install_recorder("numba:compiler_lock") as compiled:
-                    began = time.perf_counter()
-                    action, state = explorer.predict(observation, state)
-                    decided = time.perf_counter()
-                    observation, reward, terminated, truncated, self.info = self.recorder.step(action)
-                    ended = time.perf_counter()
-                if self.stopped_at is None and not compiled.buffer:
+                before, began = len(compiled.buffer), time.perf_counter()
+                action, state = explorer.predict(observation, state)
+                decided = time.perf_counter()
+                observation, reward, terminated, truncated, self.info = self.recorder.step(action)
+                ended = time.perf_counter()
+                if self.stopped_at is None and len(compiled.buffer) == before:
                     self.env_s.append(ended - decided)
                     self.agent_s.append(decided - began)
                 self.steps += 1
@@ -193,6 +194,8 @@ class Run:
                 )
         except KeyboardInterrupt:
             self.ending = "Ctrl-C"
+        finally:
+            event.unregister("numba:compiler_lock", compiled)
         progress.clear()
         if self.film is not None and self.steps:
             self.film.take(self.steps, last=True)
