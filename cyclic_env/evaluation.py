@@ -367,7 +367,7 @@ def evaluate(
                 env.close()
                 env = vector_env(pool[place : place + 1], its_seeds)
             for record in rollout(policy, env, its_seeds, deterministic=deterministic, progress=show):
-                records.append(record)
+                records.append(record)  # one by one, for a Ctrl-C
     except KeyboardInterrupt:
         complete = False
     finally:

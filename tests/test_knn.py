@@ -316,5 +316,5 @@ def test_a_distance_meter_need_not_begin_at_zero() -> None:
 
 def test_an_open_hall_is_seen_to_its_ends_with_many_beams() -> None:
     hall = FloorPlan("hall", shapely.box(0, 0, 40, 40), (20, 20, 0))
-    info, memory = explore(hall, laser={"num_beams": 1080})
-    assert info["coverage"] > 0.99 or not memory.done
+    info, _ = explore(hall, laser={"num_beams": 1080})
+    assert info["is_success"]
