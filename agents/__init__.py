@@ -1,6 +1,6 @@
 """Policies for CyclicLoop: they see observations only, never an info, never the inside of the environment.
 
-The explorer and scripted ones come by name from `make_agent`; learned ones from `agents.training`, which needs the
+The explorer and scripted ones come by name from `make_agent`; learned ones from `agents.rl.training`, which needs the
 extra ``train``.
 """
 

@@ -9,10 +9,10 @@ from typing import Any
 
 from agents.registry import agent_names, make_agent
 from cyclic_env.config import ActionType, noise_from_name
+from cyclic_env.envs.vector import CyclicLoopVectorEnv
 from cyclic_env.errors import ConfigError, unknown_name
-from cyclic_env.evaluation import Evaluation, Policy, checked_seeds, evaluate
+from cyclic_env.evaluation.rollout import Evaluation, Policy, checked_seeds, evaluate
 from cyclic_env.floor_plans import load_floor_plans
-from cyclic_env.vector_env import CyclicLoopVectorEnv
 
 DEFAULT_MAP = "killian_court"
 LEARNING = ("stable_baselines3", "torch")
@@ -55,7 +55,7 @@ def contestant(name: str, action_type: ActionType | None = None) -> Contestant:
             raise ConfigError(f"there is no model file {name}.")
         raise ConfigError(unknown_name("agent", name, agent_names()) + " Or give the file of a model.")
     require_learning()
-    from agents.training import check_fits, load_trained
+    from agents.rl.training import check_fits, load_trained
 
     trained = load_trained(path)
     its_type = trained.settings.action_type if trained.settings else None
@@ -91,7 +91,7 @@ def compare(
     action_type : str, optional
         As for `contestant`.
     noise, seeds, settings
-        As for `cyclic_env.evaluation.evaluate`.
+        As for `cyclic_env.evaluation.rollout.evaluate`.
 
     Raises
     ------

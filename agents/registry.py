@@ -19,8 +19,8 @@ from agents.scripted import (
     ToAndFroAgent,
     WallFollowingAgent,
 )
-from cyclic_env.config import ActionType, checked_name
-from cyclic_env.evaluation import Policy
+from cyclic_env.config import ActionType, check_choice
+from cyclic_env.evaluation.rollout import Policy
 
 CLAIMS = "+claims"
 """Ending of the names of agents that claim in every step to be back at the start."""
@@ -75,4 +75,4 @@ def make_agent(name: str, *, action_type: ActionType = "wheels", seed: int = 0) 
     """
     if name in _EXPLORERS:
         return KnnExplorer(_EXPLORERS[name], action_type=action_type)
-    return _BASELINES[checked_name("agent", name, agent_names())](action_type=action_type, seed=seed)
+    return _BASELINES[check_choice("agent", name, agent_names())](action_type=action_type, seed=seed)

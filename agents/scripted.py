@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from cyclic_env.config import ACTION_TYPES, ActionType, checked_name
+from cyclic_env.config import ACTION_TYPES, ActionType, check_choice
 from cyclic_env.errors import ConfigError
 
 MEMORY = np.dtype(
@@ -67,7 +67,7 @@ class ScriptedAgent(ABC):
     """
 
     def __init__(self, *, action_type: ActionType = "wheels", claims: bool = False, seed: int = 0) -> None:
-        self.action_type: ActionType = checked_name("action type", action_type, ACTION_TYPES)
+        self.action_type: ActionType = check_choice("action type", action_type, ACTION_TYPES)
         self.claims = claims
         self.seed = seed
 

@@ -26,11 +26,11 @@ if TYPE_CHECKING:
         RewardConfig,
         RobotConfig,
     )
-    from cyclic_env.env import CyclicLoopEnv
+    from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
+    from cyclic_env.envs.vector import CyclicLoopVectorEnv
     from cyclic_env.errors import ActionError, ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError
     from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names, read_floor_plan, write_floor_plan
-    from cyclic_env.recording import Recorder, Recording, read_recording, replay
-    from cyclic_env.vector_env import CyclicLoopVectorEnv
+    from cyclic_env.recording.recorder import Recorder, Recording, read_recording, replay
 
 __version__ = "0.1.0"
 
@@ -44,7 +44,7 @@ _HOMES = {
         "RewardConfig",
         "RobotConfig",
     ),
-    "cyclic_env.env": ("CyclicLoopEnv",),
+    "cyclic_env.envs.cyclic_loop": ("CyclicLoopEnv",),
     "cyclic_env.errors": (
         "ActionError",
         "ConfigError",
@@ -54,8 +54,8 @@ _HOMES = {
         "UsageError",
     ),
     "cyclic_env.floor_plans": ("FloorPlan", "load_floor_plan", "map_names", "read_floor_plan", "write_floor_plan"),
-    "cyclic_env.recording": ("Recorder", "Recording", "read_recording", "replay"),
-    "cyclic_env.vector_env": ("CyclicLoopVectorEnv",),
+    "cyclic_env.recording.recorder": ("Recorder", "Recording", "read_recording", "replay"),
+    "cyclic_env.envs.vector": ("CyclicLoopVectorEnv",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
 
@@ -100,6 +100,6 @@ def __dir__() -> list[str]:
 if "CyclicLoop-v0" not in registry:
     register(
         id="CyclicLoop-v0",
-        entry_point="cyclic_env.env:CyclicLoopEnv",
-        vector_entry_point="cyclic_env.vector_env:CyclicLoopVectorEnv",
+        entry_point="cyclic_env.envs.cyclic_loop:CyclicLoopEnv",
+        vector_entry_point="cyclic_env.envs.vector:CyclicLoopVectorEnv",
     )

@@ -15,7 +15,7 @@ from typing import Any, Literal, TypeGuard, TypeVar
 
 import numpy as np
 
-from cyclic_env.errors import ConfigError, CyclicLoopError, shown, unknown_name
+from cyclic_env.errors import ConfigError, CyclicLoopError, short_repr, unknown_name
 
 ActionType = Literal["wheels", "twist", "discrete"]
 ACTION_TYPES: tuple[ActionType, ...] = ("wheels", "twist", "discrete")
@@ -25,7 +25,7 @@ T = TypeVar("T")
 
 def _check(owner: object, condition: bool, field: str, expected: str) -> None:
     if not condition:
-        got = shown(getattr(owner, field))
+        got = short_repr(getattr(owner, field))
         raise ConfigError(f"{type(owner).__name__}.{field} is {got}; expected {expected}.")
 
 
@@ -52,7 +52,7 @@ def is_integer(value: object) -> TypeGuard[int]:
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
-def checked_name(kind: str, name: T, known: Collection[T]) -> T:
+def check_choice(kind: str, name: T, known: Collection[T]) -> T:
     """Return the name of a `kind` of thing.
 
     Raises
@@ -65,7 +65,7 @@ def checked_name(kind: str, name: T, known: Collection[T]) -> T:
     return name
 
 
-def real_array(value: Any, what: str, expected: str, error: type[CyclicLoopError]) -> np.ndarray:
+def as_array(value: Any, what: str, expected: str, error: type[CyclicLoopError]) -> np.ndarray:
     """Return `value` as an array of real numbers of any shape; the message says `what` it is and what is `expected`.
 
     Raises
@@ -218,7 +218,7 @@ NOISE_PRESETS: Mapping[str, NoiseConfig] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClosureConfig:
-    """What counts as being back, and which claims of it are judged; see `cyclic_env.loop_closure`."""
+    """What counts as being back, and which claims of it are judged; see `cyclic_env.task.loop_closure`."""
 
     return_radius: float = 3.0
     """Greatest distance between two positions that are the same place."""
@@ -322,5 +322,5 @@ def noise_from_name(noise: str | NoiseConfig | Mapping[str, Any] | None) -> Nois
     if noise is None:
         raise ConfigError(f"noise is None; expected a preset ({', '.join(NOISE_PRESETS)}) or a NoiseConfig.")
     if isinstance(noise, str):
-        return NOISE_PRESETS[checked_name("noise preset", noise, NOISE_PRESETS)]
+        return NOISE_PRESETS[check_choice("noise preset", noise, NOISE_PRESETS)]
     return from_mapping(NoiseConfig, noise)

@@ -31,7 +31,7 @@ class UsageError(CyclicLoopError, RuntimeError):
     """Calls came in an order that has no meaning, such as a step before the first reset."""
 
 
-def shown(value: object) -> str:
+def short_repr(value: object) -> str:
     """Return a short form of what was given, in one line: arrays and nested lists can be too large to print."""
     short = reprlib.Repr()
     short.maxlevel, short.maxstring, short.maxother = 3, 200, 200
@@ -57,4 +57,4 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
     known = sorted(known)
     nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.5) if isinstance(name, str) else []
     hint = f" Did you mean {nearest[0]!r}?" if nearest else ""
-    return f"unknown {kind} {shown(name)}.{hint} Known: {', '.join(known) if known else 'none'}."
+    return f"unknown {kind} {short_repr(name)}.{hint} Known: {', '.join(known) if known else 'none'}."

@@ -38,13 +38,13 @@ from shapely.affinity import scale
 import cyclic_env
 from agents.comparison import require_learning
 from cyclic_env import ConfigError, CyclicLoopVectorEnv, FloorPlan, load_floor_plan, map_names
+from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.config import LaserConfig, RobotConfig
 from cyclic_env.console import say
-from cyclic_env.engine import step_rows
-from cyclic_env.floor_plans.wall_tiles import build_wall_tiles
-from cyclic_env.laser import beam_directions, scan, scan_row
-from cyclic_env.simulation import Simulation
-from cyclic_env.whole_file import check_writable, write_whole
+from cyclic_env.engine.engine import step_rows
+from cyclic_env.simulation.lidar import beam_directions, scan, scan_row
+from cyclic_env.simulation.physics import Simulation
+from cyclic_env.simulation.wall_index import build_wall_index
 
 ROOT = Path(__file__).resolve().parents[1]
 REPEATS = 5
@@ -61,7 +61,7 @@ class Row(NamedTuple):
     most: float = math.inf
 
     @property
-    def shown(self) -> str:
+    def formatted(self) -> str:
         """The value for the table."""
         if math.isnan(self.value):
             return "-"
@@ -119,7 +119,7 @@ def measure_laser() -> Iterator[Row]:
     """Time one scan of 180 beams on Killian Court, three ways."""
     plan, laser = load_floor_plan("killian_court"), LaserConfig()
     poses = free_poses(plan, 2000)
-    tiles, directions = build_wall_tiles(plan, laser.range_max), beam_directions(laser)
+    tiles, directions = build_wall_index(plan, laser.range_max), beam_directions(laser)
     scratch, ranges = np.empty(2 * laser.num_beams), np.empty((len(poses), laser.num_beams))
     compiled_scan = best_time(lambda: scan_all(tiles, poses, directions, laser.range_max, scratch, ranges)) / len(poses)
     twin = best_time(lambda: [scan(plan.walls, pose, laser) for pose in poses[:50]]) / 50
@@ -226,7 +226,7 @@ def measure_pool() -> Iterator[Row]:
 
 def measure_phases() -> Iterator[Row]:
     """Time the phases of a step at N = 256 on one core; the rest of it is the Python between them."""
-    with mock.patch("cyclic_env.engine.num_cores", return_value=1):
+    with mock.patch("cyclic_env.engine.engine.num_cores", return_value=1):
         env = CyclicLoopVectorEnv(256, "killian_court")
         rate_of(env, driving_actions(256), 50)
     engine, spent = env.engine, defaultdict(float)
@@ -244,7 +244,7 @@ def measure_phases() -> Iterator[Row]:
     with (
         mock.patch.object(engine, "_take_actions", timed("actions", engine._take_actions)),
         mock.patch.object(engine.simulation, "drive_world", timed("drive (pymunk)", engine.simulation.drive_world)),
-        mock.patch("cyclic_env.engine.step_rows", timed(JUDGE, step_rows)),
+        mock.patch("cyclic_env.engine.engine.step_rows", timed(JUDGE, step_rows)),
         mock.patch.object(engine, "measure", timed("sensors", engine.measure)),
         mock.patch.object(engine, "observation", timed("observation", engine.observation)),
     ):
@@ -282,7 +282,7 @@ def measure_stable_baselines() -> Iterator[Row]:
     import torch
     from stable_baselines3 import PPO
 
-    from agents.sb3 import CyclicLoopVecEnv
+    from agents.rl.vec_env import CyclicLoopVecEnv
 
     torch.set_num_threads(1)
     native = CyclicLoopVectorEnv(64, "killian_court", autoreset_mode="SAME_STEP")
@@ -334,7 +334,7 @@ def measure_start_up() -> Iterator[Row]:
     run_python("import cyclic_env; print(0)")
     yield Row("start-up", "python -c 'import cyclic_env'", time.perf_counter() - begin, "s", most=1)
     code = (
-        "import time, numpy, cyclic_env; from cyclic_env.env import CyclicLoopEnv; env = CyclicLoopEnv('ring')\n"
+        "import time, numpy, cyclic_env; from cyclic_env import CyclicLoopEnv; env = CyclicLoopEnv('ring')\n"
         "begin = time.perf_counter(); env.reset(seed=0); env.step(numpy.zeros(4)); print(time.perf_counter() - begin)"
     )
     with tempfile.TemporaryDirectory(prefix="cyclic_env_benchmark_") as cache:
@@ -403,7 +403,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for measurement in measurements:
             for row in measurement():
                 rows.append(row)
-                say(f"| {row.what} | {row.name} | {row.shown} | {row.unit} | {row.target} | {row.verdict} |")
+                say(f"| {row.what} | {row.name} | {row.formatted} | {row.unit} | {row.target} | {row.verdict} |")
     except KeyboardInterrupt:
         code = 130
     if args.json:
@@ -419,7 +419,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             for row in rows
         ]
         text = json.dumps({"versions": versions, "complete": not code, "results": results}, indent=1)
-        write_whole(args.json, text + "\n")
+        write_text_atomically(args.json, text + "\n")
     if code:
         kept = f" and in {args.json}" if args.json else ""
         print(f"benchmark.py: stopped; the {len(rows)} rows measured so far are above{kept}.", file=sys.stderr)

@@ -18,12 +18,12 @@ import json
 from collections.abc import Sequence
 
 from agents.knn.config import THRESHOLDS
-from agents.paper.cache import Cache, check_processes, run_all
-from agents.paper.thresholds import thresholds_file, training_runs
+from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.console import ProgressLine, say
 from cyclic_env.errors import ConfigError, CyclicLoopError
-from cyclic_env.floor_plans.building_spec import SPLITS
-from cyclic_env.whole_file import check_writable, write_whole
+from cyclic_env.floor_plans.generator.spec import SPLITS
+from scripts.paper.cache import Cache, check_processes, run_all
+from scripts.paper.thresholds import thresholds_file, training_runs
 
 PLANS = 20
 
@@ -51,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         records = [cache.record(settings) for settings in runs]
         command = f"python scripts/calibrate_thresholds.py --plans {args.plans}"
         result = thresholds_file(records, args.plans, command)
-        write_whole(args.out, json.dumps(result, indent=1) + "\n")
+        write_text_atomically(args.out, json.dumps(result, indent=1) + "\n")
     except (CyclicLoopError, OSError) as error:
         progress.clear()
         print(f"calibrate_thresholds.py: {error}", file=sys.stderr)

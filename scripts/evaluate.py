@@ -20,11 +20,11 @@ from itertools import groupby
 from agents import agent_names, baseline_names
 from agents.comparison import compare
 from cyclic_env import __version__, map_names
+from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.console import say
 from cyclic_env.errors import ConfigError, CyclicLoopError
-from cyclic_env.evaluation import Evaluation, format_table, table_notes
+from cyclic_env.evaluation.rollout import Evaluation, format_table, table_notes
 from cyclic_env.floor_plans import separate_names
-from cyclic_env.whole_file import check_writable, write_whole
 
 EXAMPLES = """agents by name: {names}
 
@@ -140,7 +140,7 @@ def parse_seeds(seeds: str | None, episodes: int | None) -> range:
 def write_json(evaluations: Sequence[Evaluation], path: Path) -> None:
     """Write the evaluations to a file."""
     entries = {"cyclic_env": __version__, "evaluations": [evaluation.to_json() for evaluation in evaluations]}
-    write_whole(path, json.dumps(entries, indent=1) + "\n")
+    write_text_atomically(path, json.dumps(entries, indent=1) + "\n")
 
 
 def tables(evaluations: Sequence[Evaluation], *, markdown: bool) -> str:

@@ -22,9 +22,9 @@ from dataclasses import replace
 import numpy as np
 
 from cyclic_env import CyclicLoopError
-from cyclic_env.colours import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
+from cyclic_env.atomic_write import atomic_write, check_outputs
 from cyclic_env.console import say
-from cyclic_env.errors import ConfigError, shown
+from cyclic_env.errors import ConfigError, short_repr
 from cyclic_env.floor_plans import (
     FloorPlan,
     OccupancyGrid,
@@ -36,9 +36,9 @@ from cyclic_env.floor_plans import (
     write_floor_plan,
     write_occupancy_grid,
 )
-from cyclic_env.floor_plans.occupancy import IMAGE_SUFFIXES, UNKNOWN
-from cyclic_env.floor_plans.yaml_files import name_of, read_yaml
-from cyclic_env.whole_file import check_outputs, whole_file
+from cyclic_env.floor_plans.occupancy.grid import IMAGE_SUFFIXES, UNKNOWN
+from cyclic_env.floor_plans.yaml_io import name_of, read_yaml
+from cyclic_env.rendering.colors import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
 
 EXAMPLES = """examples:
   python scripts/import_map.py willow.yaml --out my_plan.yaml --figure my_plan.png
@@ -96,7 +96,7 @@ def run(args: argparse.Namespace) -> list[Path]:
         If the input can't be read, or the options don't suit it.
     """
     if args.figure:
-        from cyclic_env.plotting import check_figure  # before the work: it says what to do without matplotlib
+        from cyclic_env.rendering.figures import check_figure  # before the work: it says what to do without matplotlib
 
         check_figure(args.figure)
     inputs = [Path(args.input)]
@@ -133,7 +133,7 @@ def run(args: argparse.Namespace) -> list[Path]:
     if args.export:
         if Path(plan.name).name != plan.name or not plan.name.isprintable():
             raise ConfigError(
-                f"--export: the plan's name {shown(plan.name)} is no name of a file; change it in {args.input}."
+                f"--export: the plan's name {short_repr(plan.name)} is no name of a file; change it in {args.input}."
             )
         exports = [args.export / f"{plan.name}{suffix}" for suffix in (".yaml", ".pgm")]
         check_outputs(filter(None, (args.out, args.figure, *exports)), inputs)
@@ -219,7 +219,7 @@ def draw(plan: FloorPlan, grid: OccupancyGrid | None, path: Path) -> None:
     """Write a figure of the plan, with its cycles numbered, and to its left the map that it was traced from."""
     from matplotlib.transforms import Affine2D
 
-    from cyclic_env.plotting import add_legend, plan_figure
+    from cyclic_env.rendering.figures import add_legend, plan_figure
 
     cycles = "   ".join(f"cycle {i}: {hole.exterior.length:,.0f} m" for i, hole in enumerate(plan.cycles, 1))
     scores = f"{plan.free_area:,.0f} m2   {len(plan.walls):,} walls   {cycles or 'no cycles'}"
@@ -250,7 +250,7 @@ def draw(plan: FloorPlan, grid: OccupancyGrid | None, path: Path) -> None:
         image = before.imshow(picture, origin="lower", extent=extent, transform=to_world + before.transData)
         image.set_clip_path(before.patch)
         before.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         figure.savefig(part, dpi=FIGURE_DPI)
 
 

@@ -26,10 +26,10 @@ from scipy import ndimage
 from shapely import Polygon
 
 from cyclic_env import CyclicLoopError
+from cyclic_env.atomic_write import check_outputs
 from cyclic_env.console import ProgressLine, say
 from cyclic_env.floor_plans import FloorPlan, OccupancyGrid, polygon_from_corridors, rasterise, write_occupancy_grid
-from cyclic_env.floor_plans.occupancy import FREE, OCCUPIED, UNKNOWN
-from cyclic_env.whole_file import check_outputs
+from cyclic_env.floor_plans.occupancy.grid import FREE, OCCUPIED, UNKNOWN
 
 RESOLUTION = 0.05
 """Metres a pixel, as most scanned maps have it."""

@@ -16,9 +16,9 @@ from collections.abc import Sequence
 
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopError, Recorder, map_names
 from cyclic_env.console import say
-from cyclic_env.errors import shown
-from cyclic_env.evaluation import format_rows, score_rows
-from cyclic_env.play import SHOWS, Play
+from cyclic_env.errors import short_repr
+from cyclic_env.evaluation.rollout import format_rows, score_rows
+from scripts.game.game import SHOWS, Play
 
 EPILOG = """keys: arrows or WASD drive, with Shift slowly; Space claims to be back at the ringed place of the own way,
 which is the nearest one left long enough ago, or one picked by a click on the way (right click: the nearest again); P
@@ -44,7 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     code = 0
     try:
         if not 0 < args.speed <= SPEED_MAX:
-            raise ConfigError(f"--speed is {shown(args.speed)}; expected a number above 0, at most {SPEED_MAX:g}.")
+            raise ConfigError(f"--speed is {short_repr(args.speed)}; expected a number above 0, at most {SPEED_MAX:g}.")
         env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start)
         with Recorder(env, args.record) as recorder:
             play = Play(recorder, seed=args.seed, show=args.show)
@@ -67,9 +67,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def run(play: Play, speed: float) -> None:
     """Show the play in a window, and let the keys drive it, until Esc or until the window is closed."""
-    from cyclic_env.drawing import pygame
-    from cyclic_env.play_view import draw_play, play_size, play_view
-    from cyclic_env.rendering import Window
+    from cyclic_env.rendering.primitives import pygame
+    from cyclic_env.rendering.renderer import Window
+    from scripts.game.view import draw_play, play_size, play_view
 
     drives = {
         pygame.K_UP: "forward",

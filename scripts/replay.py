@@ -16,14 +16,14 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, RecordingError, read_recording, replay
+from cyclic_env.atomic_write import check_outputs
 from cyclic_env.console import ProgressLine, say
-from cyclic_env.evaluation import format_rows, score_rows
-from cyclic_env.recording import Recording, Replay
-from cyclic_env.trajectories import ate
-from cyclic_env.whole_file import check_outputs
+from cyclic_env.evaluation.rollout import format_rows, score_rows
+from cyclic_env.recording.recorder import Recording, Replay
+from cyclic_env.trajectory.io import ate
 
 if TYPE_CHECKING:
-    from cyclic_env.film import Film
+    from cyclic_env.rendering.gif import GifWriter
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -34,11 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--human", action="store_true", help="show it in a window, in real time")
     args = parser.parse_args(arguments)
     progress = ProgressLine()
-    film: Film | None = None
+    film: GifWriter | None = None
     try:
         recording = read_recording(args.file)
         if args.gif is not None:
-            import cyclic_env.film  # noqa: F401 (before the replay: it says what to do where something is missing)
+            import cyclic_env.rendering.gif  # noqa: F401 (before the replay: it says what to do where something is missing)
 
             check_outputs([args.gif], [args.file])
 
@@ -46,9 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
             nonlocal film
             progress.show(f"step {step:,} of {recording.steps:,}")
             if args.gif is not None:
-                from cyclic_env.film import Film
+                from cyclic_env.rendering.gif import GifWriter
 
-                film = Film(env) if film is None else film
+                film = GifWriter(env) if film is None else film
                 film.take(step, last=step == recording.steps)
 
         try:

@@ -16,11 +16,11 @@ if __name__ == "__main__":  # Ctrl-C while the packages load
 import argparse
 from collections.abc import Sequence
 
-from agents.paper.cache import check_processes
-from agents.paper.sections import FULL, QUICK
+from cyclic_env.atomic_write import check_writable
 from cyclic_env.console import ProgressLine, say
 from cyclic_env.errors import CyclicLoopError
-from cyclic_env.whole_file import check_writable
+from scripts.paper.cache import check_processes
+from scripts.paper.sections import FULL, QUICK
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,8 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     args = parser.parse_args(arguments)
     progress = ProgressLine()
     try:
-        import cyclic_env.plotting  # noqa: F401 (it says what to do where matplotlib is missing)
-        from agents.paper.reproduction import Reproduction
+        import cyclic_env.rendering.figures  # noqa: F401 (it says what to do where matplotlib is missing)
+        from scripts.paper.reproduction import Reproduction
 
         check_processes(args.processes)
         folders = [args.out, args.out / "cache", *([] if args.docs is None else [args.docs / "paper"])]

@@ -26,14 +26,14 @@ from agents.knn.config import DETECTORS, PRESETS, preset
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.knn.similarity import MEASURES
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, __version__, map_names
+from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
 from cyclic_env.console import ProgressLine, say
-from cyclic_env.evaluation import format_rows, score_rows
-from cyclic_env.recording import write_recording
-from cyclic_env.trajectories import ate, write_g2o, write_tum
-from cyclic_env.whole_file import check_outputs, whole_file, write_whole
+from cyclic_env.evaluation.rollout import format_rows, score_rows
+from cyclic_env.recording.recorder import write_recording
+from cyclic_env.trajectory.io import ate, write_g2o, write_tum
 
 if TYPE_CHECKING:
-    from cyclic_env.film import Film
+    from cyclic_env.rendering.gif import GifWriter
 
 FIGURE_DPI = 150
 
@@ -69,8 +69,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     picture, metrics_file = args.out / "run.png", args.json or args.out / "metrics.json"
     animation = None if args.no_gif else args.out / "run.gif"
     try:
-        import cyclic_env.plotting  # noqa: F401 (before the run: it says what to do where matplotlib is missing)
-        from cyclic_env.film import Film
+        import cyclic_env.rendering.figures  # noqa: F401 (before the run: it says what to do where matplotlib is missing)
+        from cyclic_env.rendering.gif import GifWriter
 
         changes = {name: value for name in ("detector", "measure") if (value := getattr(args, name)) is not None}
         explorer = KnnExplorer(preset(args.preset, **changes))
@@ -78,7 +78,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start, render_mode=render_mode)
         exports = [] if args.export is None else [args.export / name for name in EXPORTS]
         check_outputs(filter(None, (picture, animation, metrics_file, *exports)))
-        run = Run(Recorder(env), Film(env) if animation else None)
+        run = Run(Recorder(env), GifWriter(env) if animation else None)
         run.drive(explorer, args.seed)
         if not run.steps:
             print("\nrun_knn.py: stopped before the first step, so there is nothing to keep.", file=sys.stderr)
@@ -87,7 +87,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
         metrics = run.metrics() | settings | {"cyclic_env": __version__}
         say(score_table(metrics))
-        write_whole(metrics_file, json.dumps(metrics, indent=1) + "\n")
+        write_text_atomically(metrics_file, json.dumps(metrics, indent=1) + "\n")
         if args.export is not None:
             export(run, args.export)
         draw_run(run, metrics, picture)
@@ -114,7 +114,7 @@ class Run:
     ----------
     recorder : Recorder
         Around a `CyclicLoopEnv`.
-    film : Film, optional
+    film : GifWriter, optional
         That is made of it.
 
     Attributes
@@ -138,7 +138,7 @@ class Run:
         numba to compile or load a kernel.
     """
 
-    def __init__(self, recorder: Recorder, film: Film | None = None) -> None:
+    def __init__(self, recorder: Recorder, film: GifWriter | None = None) -> None:
         self.recorder = recorder
         self.film = film
         self.info: dict[str, Any] = {}
@@ -310,7 +310,14 @@ def score_table(metrics: dict[str, Any]) -> str:
 
 def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
     """Write the figure of a run: true path, groups, open areas and claims, all where they truly were."""
-    from cyclic_env.plotting import add_legend, draw_claims, draw_groups, draw_open_areas, draw_path, plan_figure
+    from cyclic_env.rendering.figures import (
+        add_legend,
+        draw_claims,
+        draw_groups,
+        draw_open_areas,
+        draw_path,
+        plan_figure,
+    )
 
     assert run.memory is not None
     plan, way, memory = run.env.floor_plan, run.env.trajectory(), run.memory
@@ -333,7 +340,7 @@ def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
     draw_open_areas(axes, positions, [area.number for area in areas], [area.state for area in areas])
     draw_claims(axes, way, run.env.claims())
     add_legend(axes)
-    with whole_file(path) as part:
+    with atomic_write(path) as part:
         figure.savefig(part, dpi=FIGURE_DPI)
 
 

@@ -21,11 +21,11 @@ from typing import NamedTuple
 import numpy as np
 
 from cyclic_env import CyclicLoopError, FloorPlan, map_names
-from cyclic_env.aliasing import look_alikes
-from cyclic_env.compiled import compile_notice
+from cyclic_env.analysis.perceptual_aliasing import perceptual_aliasing
+from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
 from cyclic_env.console import ProgressLine, say
 from cyclic_env.floor_plans import load_floor_plans
-from cyclic_env.whole_file import check_outputs, whole_file, write_whole
+from cyclic_env.jit import compile_notice
 
 FIGURE_DPI = 150
 EXAMPLES = """examples:
@@ -66,7 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     code = 0
     try:
         if args.out:
-            from cyclic_env.plotting import check_figure  # before the work: it says what to do without matplotlib
+            from cyclic_env.rendering.figures import (
+                check_figure,  # before the work: it says what to do without matplotlib
+            )
 
             check_figure(args.out)
         check_outputs(filter(None, (args.out, args.json)), map(Path, args.names))
@@ -94,12 +96,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     say(table(rows))
     try:
         if args.json:
-            write_whole(args.json, json.dumps([row._asdict() for row in rows], indent=1) + "\n")
+            write_text_atomically(args.json, json.dumps([row._asdict() for row in rows], indent=1) + "\n")
         if args.out:
-            from cyclic_env.plotting import contact_sheet
+            from cyclic_env.rendering.figures import contact_sheet
 
             figure = contact_sheet(plans[: len(rows)], [caption(row) for row in rows], marked)
-            with whole_file(args.out) as part:
+            with atomic_write(args.out) as part:
                 figure.savefig(part, dpi=FIGURE_DPI)
     except OSError as error:
         print(f"show_plans.py: can't write the files: {error}", file=sys.stderr)
@@ -113,7 +115,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def measured(plan: FloorPlan, progress: Callable[[int, int], None] | None = None) -> tuple[Row, np.ndarray]:
     """Return the measures of a plan, and its places that have a look-alike, `(n, 2)`."""
     with compile_notice():
-        looks = look_alikes(plan, progress=progress)
+        looks = perceptual_aliasing(plan, progress=progress)
     tour = plan.closed_tour()
     row = Row(
         plan=plan.name,

@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     out = args.out or default_out(**given)
     try:
         require_learning()
-        from agents.training import MODEL, resumed_settings, train, training_settings
+        from agents.rl.training import MODEL, resumed_settings, train, training_settings
 
         settings = resumed_settings(out, given) if args.resume else training_settings(given)
         model, complete = train(settings, steps=args.steps, out=out, resume=args.resume, overwrite=args.overwrite)

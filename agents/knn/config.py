@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from agents.knn.similarity import MEASURES, measure_by_name
-from cyclic_env.config import checked_name, is_integer
-from cyclic_env.errors import ConfigError, shown
+from cyclic_env.config import check_choice, is_integer
+from cyclic_env.errors import ConfigError, short_repr
 
 DETECTORS = ("both", "knn", "position")
 ORDERS = ("nearest", "first in first out", "last in first out")
@@ -96,23 +96,23 @@ class ExplorerConfig:
     range_max: float = 12.0
 
     def __post_init__(self) -> None:
-        checked_name("detector", self.detector, DETECTORS)
-        checked_name("order", self.order, ORDERS)
+        check_choice("detector", self.detector, DETECTORS)
+        check_choice("order", self.order, ORDERS)
         measure_by_name(self.measure)
         for name, least in (("neighbours", 1), ("sectors", 2)):
             value = getattr(self, name)
             if not is_integer(value) or not least <= value <= MOST:
-                raise ConfigError(f"{name} is {shown(value)}; expected a whole number from {least} to {MOST}.")
+                raise ConfigError(f"{name} is {short_repr(value)}; expected a whole number from {least} to {MOST}.")
         for name in ("both_directions", "match_scans", "unbounded_only", "go_on"):
             value = getattr(self, name)
             if not isinstance(value, bool | np.bool_):
-                raise ConfigError(f"{name} is {shown(value)}; expected True or False.")
+                raise ConfigError(f"{name} is {short_repr(value)}; expected True or False.")
         for name in ("rounding", "row_spacing", "range_max"):
             value = getattr(self, name)
             if not isinstance(value, Real) or not 0 < float(value) < MOST:
-                raise ConfigError(f"{name} is {shown(value)}; expected metres above 0.")
+                raise ConfigError(f"{name} is {short_repr(value)}; expected metres above 0.")
         if self.threshold is not None and not (isinstance(self.threshold, Real) and -1 <= float(self.threshold) <= 1):
-            raise ConfigError(f"threshold is {shown(self.threshold)}; expected a similarity, at most 1, or None.")
+            raise ConfigError(f"threshold is {short_repr(self.threshold)}; expected a similarity, at most 1, or None.")
 
     @property
     def least_similarity(self) -> float:
@@ -143,5 +143,5 @@ def preset(name: str, **changes: Any) -> ExplorerConfig:
         If there is no such preset or setting; the message lists them and the nearest.
     """
     for change in changes:
-        checked_name("setting", change, ExplorerConfig.__dataclass_fields__)
-    return replace(PRESETS[checked_name("preset", name, PRESETS)], **changes)
+        check_choice("setting", change, ExplorerConfig.__dataclass_fields__)
+    return replace(PRESETS[check_choice("preset", name, PRESETS)], **changes)

@@ -8,20 +8,20 @@ from typing import Any
 
 import numpy as np
 
+from agents.exploration.frontiers import DETOUR, Frontiers
+from agents.exploration.planner import Planner
 from agents.knn.config import ExplorerConfig, preset
-from agents.knn.detector import Detector
 from agents.knn.directions import Group, compass_direction, sector_features
-from agents.navigation.open_areas import DETOUR, OpenAreas
-from agents.navigation.pilot import Pilot
-from agents.navigation.places import Places
-from agents.navigation.poses import compose, distances, relative, wrap_all
-from agents.navigation.scan_matching import wall_lines
-from agents.navigation.scans import confirm, despeckle, fill, inside, sound_ends
-from agents.navigation.track import Track
+from agents.knn.loop_detector import Detector
 from agents.scripted import MATCH_START, drive_actions
-from cyclic_env.config import ACTION_TYPES, ActionType, checked_name, real_array
-from cyclic_env.errors import ConfigError, shown
-from cyclic_env.sensors import DISTANCE_MAX
+from agents.slam.keyframes import Keyframes
+from agents.slam.scan_filters import confirm, despeckle, fill, inside, sound_ends
+from agents.slam.scan_matching import wall_lines
+from agents.slam.se2 import compose, distances, relative, wrap_all
+from agents.slam.tracker import PoseTracker
+from cyclic_env.config import ACTION_TYPES, ActionType, as_array, check_choice
+from cyclic_env.errors import ConfigError, short_repr
+from cyclic_env.simulation.sensors import DISTANCE_MAX
 
 FIRST_STEPS = 2
 """Steps of standing still at first: the scans that later ones are confirmed by."""
@@ -52,10 +52,10 @@ class Memory:
         The paper's tables, in the order in which they were begun.
     indicators : list of int
         NI, EI, SI, WI.
-    places : Places
+    places : Keyframes
         The rows of all tables.
-    track : Track
-    areas : OpenAreas
+    track : PoseTracker
+    areas : Frontiers
     claims : list of (int, int)
         Steps at which the robot claimed to be back, and at which step it was there before.
     visited : bool
@@ -73,11 +73,11 @@ class Memory:
         self.direction: int | None = None
         self.indicators = [0, 0, 0, 0]
         self.groups: list[Group] = []
-        self.places = Places(beams, config.sectors)
-        self.track = Track(config.range_max, config.match_scans)
-        self.areas = OpenAreas(beams, config.range_max)
+        self.places = Keyframes(beams, config.sectors)
+        self.track = PoseTracker(config.range_max, config.match_scans)
+        self.areas = Frontiers(beams, config.range_max)
         self.detector = Detector(config)
-        self.pilot = Pilot(beams)
+        self.pilot = Planner(beams)
         self.claims: list[tuple[int, int]] = []
         self.visited = False
         self.on_list = False
@@ -104,9 +104,9 @@ class KnnExplorer:
 
     def __init__(self, config: ExplorerConfig | None = None, *, action_type: ActionType = "wheels") -> None:
         if config is not None and not isinstance(config, ExplorerConfig):
-            raise ConfigError(f"the config is {shown(config)}; expected an ExplorerConfig, as preset() makes.")
+            raise ConfigError(f"the config is {short_repr(config)}; expected an ExplorerConfig, as preset() makes.")
         self.config = preset("extended") if config is None else config
-        self.action_type: ActionType = checked_name("action type", action_type, ACTION_TYPES)
+        self.action_type: ActionType = check_choice("action type", action_type, ACTION_TYPES)
 
     def predict(
         self,
@@ -145,7 +145,7 @@ class KnnExplorer:
         laser, distance, compass = np.atleast_2d(laser), np.atleast_1d(distance), np.atleast_2d(compass)
         memories = [None] * len(laser) if state is None else state
         if not isinstance(memories, list | tuple) or not all(isinstance(one, Memory | None) for one in memories):
-            raise ConfigError(f"the state is {shown(state)}; expected what the last predict returned, or None.")
+            raise ConfigError(f"the state is {short_repr(state)}; expected what the last predict returned, or None.")
         if len(memories) != len(laser):
             raise ConfigError(f"the state is of {len(memories)} robots, the observation of {len(laser)}.")
         if episode_start is not None:
@@ -169,12 +169,12 @@ class KnnExplorer:
         """Return laser `(..., beams)`, distance `(...)` and compass `(..., 2)`, checked, in double precision."""
         expected = "a dict with the arrays laser (N, beams), distance (N, 1) and compass (N, 2)"
         if not isinstance(observation, Mapping):
-            raise ConfigError(f"the observation is {shown(observation)}; expected {expected}.")
+            raise ConfigError(f"the observation is {short_repr(observation)}; expected {expected}.")
         arrays = []
         for name in ("laser", "distance", "compass"):
             if name not in observation:
                 raise ConfigError(f"the observation has no {name}; expected {expected}.")
-            arrays.append(real_array(observation[name], f"the observation's {name}", expected, ConfigError))
+            arrays.append(as_array(observation[name], f"the observation's {name}", expected, ConfigError))
         laser, distance, compass = (array.astype(np.float64) for array in arrays)
         robots = laser.shape[:-1]
         if laser.ndim not in (1, 2) or distance.shape != (*robots, 1) or compass.shape != (*robots, 2):
@@ -184,7 +184,9 @@ class KnnExplorer:
         if beams < needed:
             raise ConfigError(f"the laser has {beams} beams; {self.config.sectors} sectors need {needed}: set fewer.")
         if not (np.abs(distance) <= DISTANCE_MAX).all():
-            raise ConfigError(f"the observation's distance is {shown(distance)}; expected at most {DISTANCE_MAX:g} m.")
+            raise ConfigError(
+                f"the observation's distance is {short_repr(distance)}; expected at most {DISTANCE_MAX:g} m."
+            )
         if not np.isfinite(compass).all():
             raise ConfigError("the observation's compass is not finite; expected the heading's parts east and north.")
         return np.fmax(np.fmin(laser, self.config.range_max), 0.0), distance[..., 0], compass  # of a NaN, the other

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.stats import rankdata
 
-from cyclic_env.config import checked_name, real_array
+from cyclic_env.config import as_array, check_choice
 from cyclic_env.errors import ConfigError
 
 LARGEST = 1e100
@@ -50,7 +50,7 @@ class Measure:
             If these are no numbers, or no coordinates, or too few for this measure, or a value is not finite or beyond
             `LARGEST`.
         """
-        features = real_array(features, "the features", "vectors of numbers", ConfigError).astype(np.float64)
+        features = as_array(features, "the features", "vectors of numbers", ConfigError).astype(np.float64)
         least = 2 if self.name == "variation" else 1
         if features.ndim not in (1, 2) or features.shape[-1] < least:
             raise ConfigError(f"{self.name} needs vectors of at least {least} coordinates, got shape {features.shape}.")
@@ -161,4 +161,4 @@ def measure_by_name(name: str) -> Measure:
     ConfigError
         If there is none; the message lists them and the nearest.
     """
-    return MEASURES[checked_name("similarity measure", name, MEASURES)]
+    return MEASURES[check_choice("similarity measure", name, MEASURES)]

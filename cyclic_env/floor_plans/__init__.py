@@ -1,16 +1,16 @@
 """Floor plans: the polygon of free space, reading and writing it, maps of ROS, and the library of names."""
 
-from cyclic_env.floor_plans.building_names import pool_label
-from cyclic_env.floor_plans.building_spec import BuildingSpec
-from cyclic_env.floor_plans.files import (
+from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
+from cyclic_env.floor_plans.generator.builder import generate
+from cyclic_env.floor_plans.generator.names import pool_label
+from cyclic_env.floor_plans.generator.spec import BuildingSpec
+from cyclic_env.floor_plans.io import (
     floor_plan_from_mapping,
     floor_plan_from_text,
     floor_plan_to_text,
     read_floor_plan,
     write_floor_plan,
 )
-from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
-from cyclic_env.floor_plans.generator import generate
 from cyclic_env.floor_plans.library import (
     MapName,
     PlanPool,
@@ -19,14 +19,14 @@ from cyclic_env.floor_plans.library import (
     map_names,
     separate_names,
 )
-from cyclic_env.floor_plans.occupancy import (
+from cyclic_env.floor_plans.occupancy.grid import (
     OccupancyGrid,
     occupancy_grid_from_mapping,
     rasterise,
     read_occupancy_grid,
     write_occupancy_grid,
 )
-from cyclic_env.floor_plans.tracing import Tracing, trace_floor_plan
+from cyclic_env.floor_plans.occupancy.tracing import Tracing, trace_floor_plan
 
 __all__ = [
     "BuildingSpec",

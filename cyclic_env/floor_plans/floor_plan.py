@@ -15,7 +15,7 @@ from shapely.geometry.polygon import orient
 from shapely.ops import nearest_points
 from shapely.validation import explain_validity
 
-from cyclic_env.errors import FloorPlanError, shown
+from cyclic_env.errors import FloorPlanError, short_repr
 
 MIN_CYCLE_LENGTH = 40.0
 """Length in metres from which the ring of a hole is a cycle: twice the path that a closure needs, so that a
@@ -95,7 +95,7 @@ class FloorPlan:
         if not all(abs(value) <= COORDINATE_MAX for value in (x, y, heading)):  # nor NaN
             raise FloorPlanError(
                 f"{self._label}: start must be finite (x, y, heading), from {-COORDINATE_MAX:g} to "
-                f"{COORDINATE_MAX:g}, got {shown(self.start)}."
+                f"{COORDINATE_MAX:g}, got {short_repr(self.start)}."
             )
         object.__setattr__(self, "start", (x, y, heading))
         self._check_inside(x, y)

@@ -10,10 +10,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import overload
 
-from cyclic_env.errors import FloorPlanError, shown, unknown_name
-from cyclic_env.floor_plans.building_names import building_from_name, is_generated, split_names
-from cyclic_env.floor_plans.files import read_floor_plan
+from cyclic_env.errors import FloorPlanError, short_repr, unknown_name
 from cyclic_env.floor_plans.floor_plan import FloorPlan
+from cyclic_env.floor_plans.generator.names import building_from_name, is_generated, split_names
+from cyclic_env.floor_plans.io import read_floor_plan
 
 MapName = str | os.PathLike[str] | FloorPlan
 
@@ -117,7 +117,7 @@ def load_floor_plans(map_name: MapName | Sequence[MapName]) -> PlanPool:
         map_name = [map_name]
     if not isinstance(map_name, Sequence) or isinstance(map_name, bytes) or not map_name:
         raise FloorPlanError(
-            f"a map is a name, a path, a FloorPlan, or a list of these that is not empty; got {shown(map_name)}."
+            f"a map is a name, a path, a FloorPlan, or a list of these that is not empty; got {short_repr(map_name)}."
         )
     entries: list[FloorPlan | str] = []
     for name in map_name:

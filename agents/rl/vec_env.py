@@ -1,0 +1,191 @@
+"""Stable-Baselines3 on the native vector env: the environment as its `VecEnv`, and the features that it learns from."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.vec_env import VecEnv
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
+
+from cyclic_env.envs.vector import CyclicLoopVectorEnv
+from cyclic_env.errors import UsageError
+
+ROW_METHODS = ("trajectory", "seen_cells")
+"""Methods of the vector env that take a row; here they are methods of each row, as of a single environment."""
+
+DISTANCE_SCALE = 200.0
+"""Metres of travel at which the feature tanh(distance / scale) is three quarters of its most: some laps of a block."""
+
+
+class CyclicLoopVecEnv(VecEnv):
+    """`CyclicLoopVectorEnv` in the shape that Stable-Baselines3 wants.
+
+    It resets a row in the step that ends its episode, as every SB3 `VecEnv` does. The info of that step has all of the
+    last info, and ``terminal_observation``, ``TimeLimit.truncated`` and, as from a `Monitor`, ``episode``. The infos
+    of all other steps are empty: to build them in full for 256 rows takes five times as long as the step itself
+    (measured), and nothing in SB3 reads them. What is true at every moment is at ``venv.env.engine.info``, an array
+    with a record for each row.
+
+    Parameters
+    ----------
+    num_envs : int
+    settings
+        As for `CyclicLoopVectorEnv`, but for the autoreset mode.
+    """
+
+    def __init__(self, num_envs: int = 1, **settings: Any) -> None:
+        self.env = CyclicLoopVectorEnv(num_envs, autoreset_mode="SAME_STEP", **settings)
+        super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
+        self._actions: np.ndarray | None = None
+        self._returns = np.zeros(num_envs)
+        self._lengths = np.zeros(num_envs, np.int64)
+        self._began = time.time()
+
+    def reset(self) -> dict[str, np.ndarray]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Begin episodes in all rows, with the seeds and options given since the last reset."""
+        with_options = np.array([bool(options) for options in self._options])
+        rows = np.arange(self.num_envs)
+        if with_options.any():  # rows can differ in their options, which the vector env takes for all that it resets
+            for row in rows[with_options].tolist():
+                self._reset_rows(rows == row, self._options[row])
+            rows = rows[~with_options]
+        if len(rows):
+            self._reset_rows(~with_options, {})
+        self._reset_seeds()
+        self._reset_options()
+        self._returns[:], self._lengths[:] = 0.0, 0
+        return self.env.engine.observation()
+
+    def _reset_rows(self, mask: np.ndarray, options: dict[str, Any]) -> None:
+        _, infos = self.env.reset(seed=self._seeds, options={**options, "reset_mask": mask})
+        for row in np.flatnonzero(mask).tolist():
+            self.reset_infos[row] = _row_info(infos, row)
+
+    def step_async(self, actions: np.ndarray) -> None:
+        """Take the actions of the step to come."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Step all rows, and begin anew those whose episode ends."""
+        observation, rewards, terminated, truncated, infos = self.env.step(self._actions)
+        ended = terminated | truncated
+        self._returns += rewards
+        self._lengths += 1
+        row_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        for row in np.flatnonzero(ended).tolist():
+            row_infos[row] = {
+                **_row_info(infos["final_info"], row),
+                "terminal_observation": infos["final_obs"][row],
+                "TimeLimit.truncated": bool(truncated[row] and not terminated[row]),
+                "episode": {
+                    "r": float(self._returns[row]),
+                    "l": int(self._lengths[row]),
+                    "t": round(time.time() - self._began, 6),
+                },
+            }
+            self.reset_infos[row] = _row_info(infos, row)
+        self._returns[ended], self._lengths[ended] = 0.0, 0
+        return observation, rewards.astype(np.float32), ended, row_infos
+
+    def close(self) -> None:
+        """Close the window and end the threads."""
+        self.env.close()
+
+    def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
+        """Return an attribute of every row asked for, as a single environment has it."""
+        rows = self._get_indices(indices)
+        if attr_name == "floor_plan":
+            return [self.env.floor_plan(row) for row in rows]
+        if attr_name == "step_budget":
+            return [self.env.engine.config.step_budget_of(self.env.floor_plan(row)) for row in rows]
+        if attr_name in ROW_METHODS:
+            return [partial(getattr(self.env, attr_name), row) for row in rows]
+        return [getattr(self.env, attr_name) for _ in rows]
+
+    def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
+        """Set an attribute of the vector env, which all rows share.
+
+        Raises
+        ------
+        UsageError
+            If only some of the rows are named.
+        """
+        if set(self._get_indices(indices)) != set(range(self.num_envs)):
+            raise UsageError(f"the rows share {attr_name!r}: set it for all of them, with indices=None.")
+        setattr(self.env, attr_name, value)
+
+    def env_method(
+        self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
+    ) -> list[Any]:
+        """Call ``trajectory``, ``seen_cells`` or ``render`` of the rows asked for.
+
+        Raises
+        ------
+        AttributeError
+            If the rows have no such method.
+        """
+        rows = list(self._get_indices(indices))
+        if method_name == "render":
+            pictures = self.env.render()
+            return [pictures[row] if pictures is not None and row < len(pictures) else None for row in rows]
+        if method_name not in ROW_METHODS:
+            raise AttributeError(f"a row has no method {method_name!r}; it has {', '.join(ROW_METHODS)} and render.")
+        return [getattr(self.env, method_name)(row, *method_args, **method_kwargs) for row in rows]
+
+    def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
+        """Tell that no row is wrapped in anything."""
+        return [False for _ in self._get_indices(indices)]
+
+    def get_images(self) -> Sequence[np.ndarray | None]:
+        """Return a picture of every row."""
+        return self.env_method("render")
+
+
+def _row_info(infos: dict[str, Any], row: int) -> dict[str, Any]:
+    """Return the info of one row as a single environment has it."""
+    return {
+        name: _row_info(values, row) if isinstance(values, dict) else values[row].item()
+        for name, values in infos.items()
+        if not name.startswith("_") and name not in ("final_obs", "final_info")
+    }
+
+
+class ScanFeatures(BaseFeaturesExtractor):
+    """What a network learns from: the observation, every number of it about as large as the others.
+
+    The ranges are shares of the laser's reach. The distance, which has no bound, is tanh(distance / `DISTANCE_SCALE`).
+    The compass is a unit vector already. It is part of the policy, and saved with it: so a model takes observations as
+    they come from the environment, in any harness.
+
+    Parameters
+    ----------
+    observation_space : Dict
+        Of `CyclicLoopEnv`.
+    """
+
+    def __init__(self, observation_space: spaces.Dict) -> None:
+        super().__init__(
+            observation_space, features_dim=sum(spaces.flatdim(space) for space in observation_space.values())
+        )
+        laser = observation_space["laser"]
+        assert isinstance(laser, spaces.Box)
+        self.range_max = float(laser.high.max())
+
+    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
+        """Return the features, `(N, beams + 3)`."""
+        return torch.cat(
+            [
+                observations["laser"] / self.range_max,
+                torch.tanh(observations["distance"] / DISTANCE_SCALE),
+                observations["compass"],
+            ],
+            dim=1,
+        )

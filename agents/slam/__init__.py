@@ -1,0 +1,1 @@
+"""Localization and mapping with a laser, a distance meter and a compass: scan matching, keyframes and a pose graph."""

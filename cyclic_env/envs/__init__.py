@@ -1,0 +1,1 @@
+"""The two Gymnasium environments, for one robot and for many, and their spaces."""

@@ -1,0 +1,291 @@
+"""`CyclicLoopVectorEnv`: the environment for many robots at once, as Gymnasium knows it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Unpack
+
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+
+from cyclic_env.config import as_array, check_choice, is_integer
+from cyclic_env.engine.engine import INFO, NUM_ROBOTS_MAX, Engine, Settings, engine_config
+from cyclic_env.envs.spaces import (
+    RENDER_FPS,
+    RENDER_MODES,
+    ExclusiveAccess,
+    action_space,
+    checked_render_mode,
+    checked_seed,
+    observation_space,
+    peek_rng,
+    restored,
+    snapshot,
+    start_option,
+)
+from cyclic_env.errors import ConfigError, FloorPlanError, UsageError, short_repr
+from cyclic_env.floor_plans import FloorPlan, MapName
+from cyclic_env.task.rewards import REWARD_TERMS
+
+
+class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
+    """Many robots, each in an episode of its own, stepped together; see `CyclicLoopEnv` for what an episode is.
+
+    It behaves as a ``SyncVectorEnv`` of single environments would, to the bit, and is many times faster. Row i is
+    seeded with ``seed + i``, or with ``seed[i]``, and draws from a generator of its own.
+
+    Parameters
+    ----------
+    num_envs : int
+    autoreset_mode : AutoresetMode or str
+        ``NEXT_STEP`` (default): the step after an episode's end ignores the action and resets. ``SAME_STEP``: the step
+        that ends an episode returns the first observation of the next one, and the last one in ``infos["final_obs"]``
+        and ``infos["final_info"]``. ``DISABLED``: reset by ``reset(options={"reset_mask": mask})``.
+    max_episode_steps : int, optional
+        Truncates earlier than the step budget, and changes nothing else, as Gymnasium's ``TimeLimit`` does: a revisit
+        that is going on then does not settle.
+    map_name, render_mode and all others
+        As for `CyclicLoopEnv`; ``reset(options={"start": ...})`` takes (3,) or (N, 3).
+    """
+
+    metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
+
+    def __init__(
+        self,
+        num_envs: int = 1,
+        map_name: MapName | Sequence[MapName] = "killian_court",
+        *,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        max_episode_steps: int | None = None,
+        render_mode: str | None = None,
+        **settings: Unpack[Settings],
+    ) -> None:
+        if not is_integer(num_envs) or not 1 <= num_envs <= NUM_ROBOTS_MAX:
+            raise ConfigError(
+                f"num_envs is {short_repr(num_envs)}; expected a whole number from 1 to {NUM_ROBOTS_MAX}."
+            )
+        num_envs = int(num_envs)
+        if max_episode_steps is not None and (not is_integer(max_episode_steps) or max_episode_steps < 1):
+            raise ConfigError(
+                f"max_episode_steps is {short_repr(max_episode_steps)}; expected a whole number of at least 1, or None."
+            )
+        self.autoreset_mode = _autoreset_mode(autoreset_mode)
+        self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
+        self.engine = Engine(engine_config(map_name=map_name, **settings), num_envs)
+        self.num_envs = num_envs
+        self.single_action_space = action_space(self.engine.config.action_type)
+        self.single_observation_space = observation_space(self.engine.config.laser)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.render_mode = checked_render_mode(render_mode)
+        self.max_episode_steps = max_episode_steps
+        self._rngs: list[np.random.Generator] = []
+        self._seeds: list[int] = []
+        self._ended = np.zeros(num_envs, np.bool_)
+        self._all = np.ones(num_envs, np.bool_)
+        self._turn = ExclusiveAccess()
+        self._renderers: list[Any] = []
+
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The rows' generators."""
+        self._seed([None] * self.num_envs)
+        return tuple(self._rngs)
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """The seeds of the rows' generators."""
+        self._seed([None] * self.num_envs)
+        return tuple(self._seeds)
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Begin episodes in all rows, or in those of ``options["reset_mask"]``, an `(N,)` array of bools.
+
+        Raises
+        ------
+        ConfigError, FloorPlanError
+            If the seeds, the mask or the starts don't fit, or a plan that is new to the pool; the running episodes go
+            on.
+        """
+        with self._turn:
+            start = start_option(options, "reset_mask")
+            mask = self._mask(None if options is None else options.get("reset_mask"))
+            rows = np.flatnonzero(mask)
+            starts = self._starts(start)
+            seeds = self._row_seeds(seed)
+            if starts is not None or not self.engine.is_prepared:  # refuse before anything changes
+                rngs = self.np_random
+                for row in rows.tolist():
+                    self.engine.draw_place(peek_rng(rngs[row], seeds[row]), None if starts is None else starts[row])
+            self._seed(seeds, mask)
+            self._reset_rows(rows, starts)
+            return self.engine.observation(), self._infos(mask)
+
+    def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Step every row, and reset those that the autoreset mode says.
+
+        Raises
+        ------
+        ActionError, UsageError
+            If the actions don't fit, or there is no episode to go on with; nothing has changed.
+        FloorPlanError
+            If a row that is reset draws a plan that does not suit the robot. The step has been taken, and the rows that
+            were to be reset are so in the next one, and draw anew.
+        """
+        with self._turn:
+            ended = self._ended.copy()
+            if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
+                rows = short_repr(np.flatnonzero(ended).tolist())
+                raise UsageError(
+                    f"the episodes of rows {rows} have ended: reset them with options={{'reset_mask': mask}} first."
+                )
+            self.engine.step(actions, self._rngs, skip=ended if ended.any() else None)
+            outcome = self.engine.outcome
+            rewards, terminated, truncated = (
+                outcome["reward"].copy(),
+                outcome["terminated"].copy(),
+                outcome["truncated"].copy(),
+            )
+            if self.max_episode_steps is not None:
+                truncated |= self.engine.episodes.memory.status["steps"] >= self.max_episode_steps
+            if ended.any():  # only with NEXT_STEP
+                self._reset_rows(np.flatnonzero(ended))
+                rewards[ended], terminated[ended], truncated[ended] = 0.0, False, False
+            ended = self._ended = terminated | truncated
+            infos: dict[str, Any] = {}
+            if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
+                infos = {"final_obs": self._final_observation(ended), "final_info": self._infos(ended)}
+                infos.update(_final_obs=ended.copy(), _final_info=ended.copy())
+                self._reset_rows(np.flatnonzero(ended))
+            return self.engine.observation(), rewards, terminated, truncated, infos | self._infos(self._all)
+
+    def _reset_rows(self, rows: np.ndarray, starts: np.ndarray | None = None) -> None:
+        for row in rows:
+            self.engine.reset_row(int(row), self._rngs[row], None if starts is None else starts[row])
+        self.engine.measure(rows, self._rngs)
+        self._ended[rows] = False
+
+    def _infos(self, mask: np.ndarray) -> dict[str, Any]:
+        """Return copies of the infos; as in Gymnasium, ``_key`` tells for which rows `key` holds."""
+        infos: dict[str, Any] = {}
+        given = mask.copy()
+        given.flags.writeable = False  # one mask stands under all keys
+        for name in INFO.names or ():
+            infos[name] = self._where(mask, self.engine.info[name])
+            infos[f"_{name}"] = given
+        terms: dict[str, Any] = {}
+        for i, name in enumerate(REWARD_TERMS):
+            terms[name] = self._where(mask, self.engine.terms[:, i])
+            terms[f"_{name}"] = given
+        return infos | {"reward_terms": terms, "_reward_terms": given}
+
+    def _where(self, mask: np.ndarray, values: np.ndarray) -> np.ndarray:
+        """Return a copy of the values, zero outside the mask."""
+        return values.copy() if mask is self._all else np.where(mask, values, np.zeros((), values.dtype))
+
+    def _final_observation(self, ended: np.ndarray) -> np.ndarray:
+        """Return the last observations of the episodes that ended, as Gymnasium does: an array of dicts, or None."""
+        final = np.full(self.num_envs, None, dtype=object)
+        observation = self.engine.observation()
+        for row in np.flatnonzero(ended):
+            final[row] = {name: value[row] for name, value in observation.items()}
+        return final
+
+    def _seed(self, seeds: Sequence[int | None], mask: np.ndarray | None = None) -> None:
+        """Seed the rows that have a seed, and those that have no generator yet."""
+        if not self._rngs:
+            fresh = [seeding.np_random() for _ in range(self.num_envs)]
+            self._rngs, self._seeds = [rng for rng, _ in fresh], [seed for _, seed in fresh]
+        for row, seed in enumerate(seeds):
+            if seed is not None and (mask is None or mask[row]):
+                self._rngs[row], self._seeds[row] = seeding.np_random(seed)
+
+    def _row_seeds(self, seed: int | Sequence[int | None] | None) -> Sequence[int | None]:
+        if isinstance(seed, np.ndarray):
+            seed = seed.tolist()
+        if isinstance(seed, Sequence) and not isinstance(seed, str | bytes):
+            if len(seed) != self.num_envs:
+                raise ConfigError(
+                    f"{len(seed)} seeds were given for {self.num_envs} rows; give one seed, or one a row."
+                )
+            return [checked_seed(value) for value in seed]
+        first = checked_seed(seed)
+        return [None if first is None else first + row for row in range(self.num_envs)]
+
+    def _mask(self, mask: Any) -> np.ndarray:
+        if mask is None:
+            return self._all
+        if (
+            not isinstance(mask, np.ndarray)
+            or mask.dtype != np.bool_
+            or mask.shape != (self.num_envs,)
+            or not mask.any()
+        ):
+            raise ConfigError(
+                f"options['reset_mask'] must be an array of {self.num_envs} bools, at least one of them True."
+            )
+        return mask.copy()
+
+    def _starts(self, start: Any) -> np.ndarray | None:
+        if start is None:
+            return None
+        expected = f"(x, y, heading), or {self.num_envs} rows of these"
+        starts = as_array(start, "start", expected, FloorPlanError)
+        if starts.shape not in ((3,), (self.num_envs, 3)):
+            raise FloorPlanError(f"start is {short_repr(start)}; expected {expected}.")
+        return np.broadcast_to(starts, (self.num_envs, 3))
+
+    def floor_plan(self, row: int) -> FloorPlan:
+        """Return the building of a row's running episode."""
+        return self.engine.plan(row)
+
+    def trajectory(self, row: int) -> np.ndarray:
+        """Return a row's true way since its reset, `(t + 1, 3)`: x, y and path length, metres."""
+        return self.engine.trajectory(row)
+
+    def claims(self, row: int) -> np.ndarray:
+        """Return a row's judged claims; see `CyclicLoopEnv.claims`."""
+        return self.engine.claims(row)
+
+    def seen_cells(self, row: int) -> np.ndarray:
+        """Return what a row has seen; see `CyclicLoopEnv.seen_cells`."""
+        return self.engine.seen_cells(row)
+
+    def render(self) -> tuple[Any, ...] | None:
+        """Return a picture of every row, `(height, width, 3)` uint8 each; with ``"human"``, show row 0 in a window."""
+        if self.render_mode is None:
+            return None
+        for row in range(self.num_envs):
+            self.engine.check_placed(row)
+        if not self._renderers:
+            from cyclic_env.rendering.renderer import Renderer
+
+            count = 1 if self.render_mode == "human" else self.num_envs
+            self._renderers = [Renderer(self.render_mode, self.metadata["render_fps"]) for _ in range(count)]
+        return tuple(renderer.draw(self.engine, row) for row, renderer in enumerate(self._renderers))
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Close the window and end the threads."""
+        with self._turn:
+            for renderer in self._renderers:
+                renderer.close()
+            self._renderers = []
+            self.engine.close()
+
+    def __getstate__(self) -> dict[str, Any]:
+        with self._turn:
+            return snapshot({**self.__dict__, "_renderers": []}, ("engine", "_rngs", "_seeds", "_ended"))
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(restored(state))
+
+
+def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    if isinstance(mode, AutoresetMode):
+        return mode
+    by_name = {name: member for member in AutoresetMode for name in (member.name, member.value)}
+    return by_name[check_choice("autoreset mode", mode, by_name)]

@@ -1,0 +1,1 @@
+"""Evaluation of agents: rollouts, one episode for each seed, and their statistics."""

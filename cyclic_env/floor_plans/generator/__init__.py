@@ -1,0 +1,1 @@
+"""Generated buildings: their specification, their names and the building of their floor plans."""

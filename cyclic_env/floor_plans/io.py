@@ -1,0 +1,176 @@
+"""Reading and writing floor plans as YAML; the format is described in ``maps/README.md``."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from cyclic_env.atomic_write import write_text_atomically
+from cyclic_env.errors import FloorPlanError, short_repr, unknown_name
+from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
+from cyclic_env.floor_plans.occupancy.grid import IMAGE_SUFFIXES, occupancy_grid_from_mapping
+from cyclic_env.floor_plans.occupancy.tracing import trace_floor_plan
+from cyclic_env.floor_plans.yaml_io import (
+    as_list,
+    as_number,
+    as_start,
+    as_text,
+    name_of,
+    parse_yaml,
+    read_yaml,
+)
+
+KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "corridors", "rooms", "centrelines")
+
+
+def read_floor_plan(path: str | Path) -> FloorPlan:
+    """Read a floor plan from a YAML file: one of ours, or a map of ROS' ``map_server``, which has a key ``image``.
+
+    A map is traced with the defaults of `trace_floor_plan`.
+
+    Raises
+    ------
+    FloorPlanError
+        Naming the file and the key, if the file can't be read or does not follow the format.
+    """
+    path = _checked_path(path)
+    if path.suffix.lower() in IMAGE_SUFFIXES:
+        raise FloorPlanError(
+            f"{path}: a picture does not say how large a pixel is; name a YAML file with the keys image, resolution "
+            "and origin, or run scripts/import_map.py on the picture."
+        )
+    data = read_yaml(path)
+    try:
+        if isinstance(data, Mapping) and "image" in data:
+            plan = trace_floor_plan(occupancy_grid_from_mapping(data, path)).plan
+        else:
+            plan = floor_plan_from_mapping(data, default_name=name_of(path))
+        return replace(plan, file=str(path))
+    except FloorPlanError as error:
+        raise FloorPlanError(f"{path}: {error}") from error
+
+
+def _checked_path(path: object) -> Path:
+    if not isinstance(path, str | os.PathLike):
+        raise FloorPlanError(f"the file of a floor plan is a path; got {type(path).__name__}.")
+    return Path(os.fsdecode(path))
+
+
+def floor_plan_from_text(text: str) -> FloorPlan:
+    """Return the floor plan that a text in our YAML format describes.
+
+    Raises
+    ------
+    FloorPlanError
+        Naming the key, if the text does not follow the format.
+    """
+    return floor_plan_from_mapping(parse_yaml(text))
+
+
+def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
+    """Write a floor plan as YAML rings, to the micrometre.
+
+    Raises
+    ------
+    FloorPlanError
+        If it is no floor plan, or the file can't be written.
+    """
+    path = _checked_path(path)
+    if not isinstance(plan, FloorPlan):
+        raise FloorPlanError(f"{path}: what is to be written must be a FloorPlan; got {type(plan).__name__}.")
+    text = floor_plan_to_text(plan, digits=6)
+    try:
+        write_text_atomically(path, text)
+    except OSError as error:
+        raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
+
+
+def floor_plan_to_text(plan: FloorPlan, *, digits: int | None = None) -> str:
+    """Return a floor plan as YAML rings, rounded to so many decimals; None keeps every bit."""
+    rings = plan.rings if digits is None else [np.round(ring, digits) for ring in plan.rings]
+    exterior, *holes = (ring.tolist() for ring in rings)
+    texts = {key: str(getattr(plan, key)) for key in ("name", "title", "source", "licence")}
+    data = {
+        **texts,
+        "start": dict(zip(("x", "y", "heading"), plan.start, strict=True)),
+        "exterior": exterior,
+        "holes": holes,
+        "centrelines": [np.asarray(line, dtype=float).tolist() for line in plan.centrelines],
+    }
+    # Unescaped, PyYAML reads back the rarer line separators of Unicode as blanks.
+    readable = all(text.isprintable() for text in texts.values())
+    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=readable)
+
+
+def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPlan:
+    """Return the floor plan that a mapping of the YAML format describes.
+
+    Raises
+    ------
+    FloorPlanError
+        Naming the key that is missing, unknown or malformed.
+    """
+    if not isinstance(data, Mapping):
+        got = "nothing" if data is None else type(data).__name__
+        raise FloorPlanError(f"a floor plan is a mapping with some of the keys {', '.join(KEYS)}; got {got}.")
+    for key in data:
+        if key not in KEYS:
+            raise FloorPlanError(unknown_name("key", key, KEYS))
+    if ("exterior" in data) == ("corridors" in data):
+        raise FloorPlanError(
+            "give the free space either as `exterior` (with `holes`) or as `corridors` (with `rooms`)."
+        )
+    if "exterior" in data:
+        if "rooms" in data:
+            raise FloorPlanError("`rooms` go with `corridors`; a plan of rings has `exterior` and `holes`.")
+        holes = [_points(hole, f"holes[{i}]") for i, hole in enumerate(as_list(data.get("holes", []), "holes"))]
+        polygon = polygon_from_rings(_points(data["exterior"], "exterior"), holes)
+    else:
+        if "holes" in data:
+            raise FloorPlanError("`holes` go with `exterior`; a plan of corridors has `corridors` and `rooms`.")
+        corridors = [
+            _corridor(item, f"corridors[{i}]") for i, item in enumerate(as_list(data["corridors"], "corridors"))
+        ]
+        if not corridors:
+            raise FloorPlanError("corridors: the list is empty.")
+        rooms = [_points(room, f"rooms[{i}]") for i, room in enumerate(as_list(data.get("rooms", []), "rooms"))]
+        polygon = polygon_from_corridors(corridors, rooms)
+    lines = data.get("centrelines", [corridor["line"] for corridor in data.get("corridors", [])])
+    lines = list(lines.values()) if isinstance(lines, Mapping) else as_list(lines, "centrelines")
+    centrelines = [tuple(_points(line, f"centrelines[{i}]")) for i, line in enumerate(lines)]
+    for i, line in enumerate(centrelines):
+        if len(line) < 2:
+            raise FloorPlanError(f"centrelines[{i}]: a line needs at least 2 points, got {len(line)}.")
+    return FloorPlan(
+        name=as_text(data, "name") or default_name,
+        free_space=polygon,
+        start=as_start(data.get("start")),
+        title=as_text(data, "title"),
+        source=as_text(data, "source"),
+        licence=as_text(data, "licence"),
+        centrelines=tuple(centrelines),
+    )
+
+
+def _points(value: Any, key: str) -> list[tuple[float, float]]:
+    points = []
+    for i, point in enumerate(as_list(value, key)):
+        if not isinstance(point, list | tuple) or len(point) != 2:
+            raise FloorPlanError(f"{key}[{i}]: expected a point [x, y], got {short_repr(point)}.")
+        points.append((as_number(point[0], f"{key}[{i}].x"), as_number(point[1], f"{key}[{i}].y")))
+    return points
+
+
+def _corridor(value: Any, key: str) -> tuple[float, list[tuple[float, float]]]:
+    if not isinstance(value, Mapping) or set(value) != {"width", "line"}:
+        raise FloorPlanError(f"{key}: expected a mapping with the keys width and line, got {short_repr(value)}.")
+    width = as_number(value["width"], f"{key}.width")
+    if width <= 0:
+        raise FloorPlanError(f"{key}.width: expected more than 0, got {width:g}.")
+    return width, _points(value["line"], f"{key}.line")

@@ -1,0 +1,1 @@
+"""Occupancy grids: maps of ROS' ``map_server`` and pictures, and tracing floor plans from them."""

@@ -1,0 +1,108 @@
+"""Reading YAML, and the values in it, with one clear line for each mistake."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from cyclic_env.errors import FloorPlanError, short_repr
+from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, Pose
+
+
+class _Loader(yaml.SafeLoader):
+    """The safe loader, but a key given twice is an error and not a silent choice.
+
+    Not its twin in C, which crashes the interpreter on a file that is nested too deeply.
+    """
+
+    def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[Any, Any]:
+        if not isinstance(node, yaml.MappingNode):
+            raise yaml.constructor.ConstructorError(None, None, "expected a mapping", node.start_mark)
+        keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
+        for i, key in enumerate(keys):
+            if key in keys[:i]:
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", node.start_mark)
+        return super().construct_mapping(node, deep=deep)
+
+
+def read_yaml(path: Path) -> Any:
+    """Return what a YAML file holds.
+
+    Raises
+    ------
+    FloorPlanError
+        Naming the file, if it can't be read or is not YAML.
+    """
+    try:
+        if path.exists() and not path.is_file():
+            raise FloorPlanError("is a folder or a device; expected a YAML file.")
+        return parse_yaml(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise FloorPlanError(f"{path}: can't be read: {error.strerror or error}.") from error
+    except UnicodeDecodeError as error:
+        raise FloorPlanError(f"{path}: is not valid YAML: {error}.") from error
+    except FloorPlanError as error:
+        raise FloorPlanError(f"{path}: {error}") from error
+
+
+def parse_yaml(text: str) -> Any:
+    """Return what a text in YAML holds.
+
+    Raises
+    ------
+    FloorPlanError
+        If it is not YAML.
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except RecursionError as error:
+        raise FloorPlanError("is not valid YAML: it is nested too deeply.") from error
+    except (yaml.YAMLError, ValueError, AttributeError) as error:
+        # PyYAML passes on what Python says of a bad number or date, such as 2024-13-01.
+        reason = " ".join(str(error).split()).replace('in "<unicode string>", line', "at line")
+        raise FloorPlanError(f"is not valid YAML: {reason}.") from error
+
+
+def name_of(path: Path) -> str:
+    """Return the name of a file without its suffix, as text that can be written and drawn whatever its bytes are."""
+    return os.fsencode(path.stem).decode(errors="replace")
+
+
+def as_list(value: Any, key: str) -> Sequence[Any]:
+    """Return the value of a key that must be a list."""
+    if not isinstance(value, list | tuple):
+        raise FloorPlanError(f"{key}: expected a list, got {type(value).__name__}.")
+    return value
+
+
+def as_number(value: Any, key: str) -> float:
+    """Return the value of a key that must be a finite number."""
+    # The comparison also fails for NaN, and, unlike math.isfinite, takes whole numbers of any length.
+    if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= COORDINATE_MAX:
+        raise FloorPlanError(
+            f"{key}: expected a number from {-COORDINATE_MAX:g} to {COORDINATE_MAX:g}, got {short_repr(value)}."
+        )
+    return float(value)
+
+
+def as_text(data: Mapping[str, Any], key: str) -> str:
+    """Return the text of a key that may be left out."""
+    value = data.get(key, "")
+    if not isinstance(value, str):
+        raise FloorPlanError(f"{key}: expected text, got {short_repr(value)}.")
+    return value
+
+
+def as_start(value: Any) -> Pose:
+    """Return the start pose that a mapping describes; the heading may be left out."""
+    if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "heading"}:
+        raise FloorPlanError(f"start: expected a mapping with x, y and, in radians, heading; got {short_repr(value)}.")
+    return (
+        as_number(value["x"], "start.x"),
+        as_number(value["y"], "start.y"),
+        as_number(value.get("heading", 0.0), "start.heading"),
+    )

@@ -1,0 +1,92 @@
+"""Compilation of the numeric kernels by numba: once for an installation and each change of it, then cached on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from llvmlite import ir
+from numba import njit, types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+NOTICE_DELAY = 2.0
+"""Seconds; loading compiled code from the cache takes less, compiling takes more."""
+
+
+def compiled(function: Callable[..., Any]) -> Any:
+    """Compile `function` at its first call, strictly IEEE (no fused or reordered operations), without the GIL.
+
+    Strictness makes a row of a batch bit-equal to a single robot, and the kernels equal to their NumPy twins.
+    Kernels make no arrays and keep none, so they count no references to them (`_nrt`): counting is atomic,
+    and made two threads on the same arrays slower than one.
+    """
+    kernel: Any = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)  # pyright: ignore[reportCallIssue]
+    # numba's cache only asks whether a kernel's own file has changed; but other files' kernels are compiled into it.
+    kernel._cache._cache_file._source_stamp = _sources_digest(_package_root(Path(function.__code__.co_filename)))
+    return kernel
+
+
+def _package_root(file: Path) -> Path:
+    """Return the folder of the outermost package that a source file is in, or the file's own folder."""
+    folder = file.parent
+    while (folder.parent / "__init__.py").exists():
+        folder = folder.parent
+    return folder
+
+
+@cache
+def _sources_digest(folder: Path) -> str:
+    """Return a digest of this package's sources and of those below `folder`, if that is a package."""
+    digest = hashlib.sha256()
+    others = folder.rglob("*.py") if (folder / "__init__.py").exists() else folder.glob("*.py")
+    for path in sorted({*Path(__file__).parent.rglob("*.py"), *others}):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+def inlined(function: Callable[..., Any]) -> Any:
+    """Compile `function` into its callers, since numba can't return a tuple that holds a record."""
+    return njit(inline="always")(function)
+
+
+def _call_c(context: Any, address: Any, arguments: Any) -> Any:
+    """Call, from a kernel, the C function at an address, with a tuple of int64 (pointers, too) and float64.
+
+    It returns nothing. What Python's ways of calling cost is more than many such functions take; none of them may
+    need the GIL.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        kinds = [context.get_value_type(kind) for kind in arguments]
+        pointer = builder.inttoptr(values[0], ir.FunctionType(ir.VoidType(), kinds).as_pointer())
+        builder.call(pointer, cgutils.unpack_tuple(builder, values[1]))
+        return context.get_dummy_value()
+
+    return types.void(address, arguments), generate
+
+
+call_c: Any = intrinsic(_call_c)
+
+
+@cache
+def _say_compiling() -> None:
+    print("cyclic_env: compiling its kernels, once for this installation; about 20 s ...", file=sys.stderr, flush=True)
+
+
+@contextmanager
+def compile_notice() -> Iterator[None]:
+    """Tell the user, on stderr, if what runs inside takes long because kernels are being compiled."""
+    timer = threading.Timer(NOTICE_DELAY, _say_compiling)
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()

@@ -1,0 +1,1 @@
+"""Recordings of episodes: their format, the recorder and bit-exact replay."""

@@ -1,0 +1,1 @@
+"""Simulation: physics, laser, the other sensors, and the spatial index of walls."""

@@ -1,0 +1,341 @@
+"""The physics: N robots that drive in walled buildings, and nothing of what they sense or earn.
+
+Robots of one floor plan share a pymunk Space; they pass through each other and collide with walls only.
+A Space holds at most `WORLD_SIZE_MAX` of them, since robots at the same spot cost pymunk time in pairs. Bodies
+are read and written all at once, as `pymunk.batch` does it, and compiled code calls pymunk's library itself. Both may
+change in any release of pymunk: so pymunk is pinned tightly and used here and nowhere else.
+
+Wheels act as a force and a torque before each substep, so that the contact solver has the last word.
+pymunk is not deterministic after a reset by itself: a body moved back in its Space keeps the contacts
+of its last episode. So a row that is placed anew gets a new body and a new shape.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pymunk
+from pymunk._chipmunk_cffi import ffi, lib
+from pymunk.batch import BodyFields, Buffer, get_space_bodies
+
+from cyclic_env.config import RobotConfig
+from cyclic_env.floor_plans import FloorPlan
+from cyclic_env.jit import call_c, compiled
+
+WORLD_SIZE_MIN, WORLD_SIZE_MAX = 16, 32
+"""Robots in one Space, measured: fewer cost calls, more cost pairs while they stand at the same start."""
+
+COLLISION_SLOP = 0.001
+"""Metres of overlap that the contact solver leaves, so that a contact at rest does not flicker."""
+
+WORLDS_KEPT = 64
+"""Spaces without robots that are kept for those that come: to make one takes as long as thousands of steps."""
+
+PUSH = 1e-6
+"""Metres a second. A robot is in contact when a wall changed the velocity that its wheels gave it by more."""
+
+ROBOTS, WALLS = 0b01, 0b10
+READ = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
+WRITE = BodyFields.FORCE | BodyFields.TORQUE
+READ_WIDTH, WRITE_WIDTH = 6, 3
+SLACK = 64
+"""Spare floats behind a batch buffer: pymunk grows a buffer, which is not its own, before it is quite full."""
+
+DRIVE = np.dtype(
+    [
+        ("x", "f8"),
+        ("y", "f8"),
+        ("angle", "f8"),  # not wrapped
+        ("left", "f8"),  # wheel speeds, m/s
+        ("right", "f8"),
+        ("travel", "f8"),  # signed displacement along the heading in this control step, metres
+        ("contact", "?"),  # a wall pushed back in this control step
+        ("along_x", "f8"),  # heading half-way through the running substep
+        ("along_y", "f8"),
+        ("ahead_x", "f8"),  # and through the next one
+        ("ahead_y", "f8"),
+        ("target_vx", "f8"),  # velocity that the wheels asked for in the running substep
+        ("target_vy", "f8"),
+    ]
+)
+"""What the simulation knows of a robot from one substep to the next."""
+
+
+def num_cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@compiled
+def command_substep(bodies, forces, rows, drive, commands, first, mass, inertia, axle_track, lag, dt):
+    """Take over what the substep before did to the bodies, if there was one, and set the forces of the next.
+
+    The forces give each body the velocity of its wheels by the end of the substep. pymunk first moves a body
+    by its old velocity, and then turns to contacts and the new one: so the new velocity points along the
+    heading half-way through the substep after.
+
+    Parameters
+    ----------
+    bodies : (n, 6) float64
+        x, y, angle, vx, vy and angular velocity of the bodies of one Space.
+    forces : (n, 3) float64
+        Written: force x and y, torque.
+    rows : (n,) int64
+        The robot of each body.
+    drive : (N,) DRIVE
+        Updated.
+    commands : (N, 2) float64
+        Wheel speeds asked for, left and right, m/s.
+    first : bool
+        Whether a control step begins, so that travel and contact start anew.
+    mass, inertia, axle_track, lag, dt : float
+        kg, kg m2, m, the share of a wheel's speed error that is gone after a substep, and a substep's length in s.
+    """
+    for i in range(rows.shape[0]):
+        row = rows[i]
+        robot = drive[row]
+        angle, omega = bodies[i, 2], bodies[i, 5]
+        if first:
+            robot.travel, robot.contact = 0.0, False
+        else:
+            observe_body(bodies[i], robot)
+        robot.left += lag * (commands[row, 0] - robot.left)
+        robot.right += lag * (commands[row, 1] - robot.right)
+        target_omega = (robot.right - robot.left) / axle_track
+        speed = 0.5 * (robot.left + robot.right)
+        # No wall turns a round robot without friction: what was ahead is now the heading half-way through.
+        robot.along_x, robot.along_y = robot.ahead_x, robot.ahead_y
+        ahead = angle + omega * dt + 0.5 * target_omega * dt
+        robot.ahead_x, robot.ahead_y = math.cos(ahead), math.sin(ahead)
+        robot.target_vx, robot.target_vy = speed * robot.ahead_x, speed * robot.ahead_y
+        forces[i, 0] = mass * (robot.target_vx - bodies[i, 3]) / dt
+        forces[i, 1] = mass * (robot.target_vy - bodies[i, 4]) / dt
+        forces[i, 2] = inertia * (target_omega - omega) / dt
+
+
+@compiled
+def observe_body(body, robot):
+    """Take over what a substep did to one body: position, travel along the heading, contact."""
+    robot.travel += (body[0] - robot.x) * robot.along_x + (body[1] - robot.y) * robot.along_y
+    robot.x, robot.y, robot.angle = body[0], body[1], body[2]
+    if abs(body[3] - robot.target_vx) > PUSH or abs(body[4] - robot.target_vy) > PUSH:
+        robot.contact = True
+
+
+class SpaceCalls(NamedTuple):
+    """Addresses of pymunk's functions, and of what they work on, for one Space."""
+
+    space: int
+    step: int
+    each_body: int
+    read: int
+    read_batch: int
+    write: int
+    write_batch: int
+
+
+@compiled
+def read_bodies(calls, counts):
+    """Read all bodies of a Space; `counts` has how many floats the batches for reading and writing hold."""
+    counts[0] = 0
+    call_c(calls.each_body, (calls.space, calls.read, calls.read_batch))
+
+
+@compiled
+def drive_bodies(calls, counts, bodies, forces, rows, drive, commands, substeps, mass, inertia, axle_track, lag, dt):
+    """Drive the robots of one Space for a control step; for the arguments see `read_bodies` and `command_substep`."""
+    for substep in range(substeps):
+        command_substep(bodies, forces, rows, drive, commands, substep == 0, mass, inertia, axle_track, lag, dt)
+        counts[1] = 0
+        call_c(calls.each_body, (calls.space, calls.write, calls.write_batch))
+        call_c(calls.step, (calls.space, dt))  # Space.step looks for callbacks and late additions; there are none
+        read_bodies(calls, counts)
+    for i in range(rows.shape[0]):
+        observe_body(bodies[i], drive[rows[i]])
+
+
+def address_of(pointer: Any) -> int:
+    """Return the address that a pointer of pymunk's library holds."""
+    return int(ffi.cast("intptr_t", pointer))
+
+
+class World:
+    """One Space with the walls of one floor plan, and some of the robots in it."""
+
+    def __init__(self, plan: FloorPlan) -> None:
+        self.plan = plan
+        self.space = pymunk.Space()
+        self.space.collision_slop = COLLISION_SLOP
+        for ring in plan.rings:
+            corners = [(float(x), float(y)) for x, y in ring]
+            for i, corner in enumerate(corners):
+                following = corners[(i + 1) % len(corners)]
+                wall = pymunk.Segment(self.space.static_body, corner, following, 0.0)
+                # Knowing its neighbours, a wall has no ends for a robot that slides along to catch on.
+                wall.set_neighbors(corners[i - 1], corners[(i + 2) % len(corners)])
+                wall.filter = pymunk.ShapeFilter(categories=WALLS)
+                wall.friction = 0.0
+                self.space.add(wall)
+        self.bodies: dict[int, pymunk.Body] = {}
+        self._refresh()
+
+    def add(self, row: int, body: pymunk.Body, radius: float) -> None:
+        """Add the body of a robot, replacing the one that it had here."""
+        self.remove(row)
+        shape = pymunk.Circle(body, radius)
+        shape.filter = pymunk.ShapeFilter(categories=ROBOTS, mask=WALLS)
+        shape.friction = 0.0
+        self.space.add(body, shape)
+        self.space._bodies_to_check.clear()  # Space.step would, which is not called; else old bodies pile up there
+        self.bodies[row] = body
+        self._refresh()
+
+    def remove(self, row: int) -> None:
+        """Remove the robot, if it is here."""
+        body = self.bodies.pop(row, None)
+        if body is not None:
+            self.space.remove(body, *body.shapes)
+            self._refresh()
+
+    def _refresh(self) -> None:
+        """Fit the buffers to the bodies, and learn their order in the Space."""
+        count = len(self.bodies)
+        ids = Buffer()
+        get_space_bodies(self.space, BodyFields.BODY_ID, ids)
+        row_of = {body.id: row for row, body in self.bodies.items()}
+        order = [row_of[i] for i in memoryview(ids.int_buf()).cast("P") if i in row_of]  # the last is the walls' body
+        self.rows = np.array(order, np.int64)
+        read, write = (np.zeros((count + 1) * width + SLACK) for width in (READ_WIDTH, WRITE_WIDTH))
+        self.body_states = read[: count * READ_WIDTH].reshape(count, READ_WIDTH)
+        self.forces = write[: count * WRITE_WIDTH].reshape(count, WRITE_WIDTH)
+        # What `pymunk.batch` makes for each call, made once: there, that costs more than the work.
+        self._arrays, self._batches = ffi.new("pmFloatArray[2]"), ffi.new("pmBatchedData[2]")
+        for i, (fields, floats) in enumerate(((READ, read), (WRITE, write))):
+            self._arrays[i].arr, self._arrays[i].max = ffi.cast("double *", floats.ctypes.data), len(floats)
+            self._batches[i].floatArray, self._batches[i].fields = ffi.addressof(self._arrays, i), fields.value
+        self.counts = np.frombuffer(ffi.buffer(self._arrays), np.intc).reshape(2, -1)[:, 0]
+        names = (
+            "cpSpaceStep",
+            "cpSpaceEachBody",
+            "pmSpaceBodyGetIteratorFuncBatched",
+            "pmSpaceBodySetIteratorFuncBatched",
+        )
+        step, each_body, read_body, write_body = (ffi.addressof(lib, name) for name in names)
+        reading, writing = (ffi.addressof(self._batches, i) for i in range(2))
+        pointers = (self.space._space, step, each_body, read_body, reading, write_body, writing)
+        self.calls = SpaceCalls(*map(address_of, pointers))
+        read_bodies(self.calls, self.counts)
+
+
+class Simulation:
+    """N robots in the buildings of a pool of floor plans.
+
+    Attributes
+    ----------
+    drive : (N,) array of `DRIVE`
+        State of the robots after the last control step.
+    plan_of : (N,) int64
+        The plan in which each robot is; -1 before it is first placed.
+    worlds : list of World
+        The Spaces in use; `drive_world` may be called for different ones from different threads.
+    """
+
+    def __init__(self, robot: RobotConfig, plans: Sequence[FloorPlan], num_robots: int) -> None:
+        self.robot = robot
+        self.plans = tuple(plans)  # the engine adds those that come into use
+        self.drive = np.zeros(num_robots, DRIVE)
+        self.plan_of = np.full(num_robots, -1, np.int64)
+        self.worlds: list[World] = []
+        share = math.ceil(num_robots / num_cores())
+        self._world_size = min(max(share, WORLD_SIZE_MIN), WORLD_SIZE_MAX)
+        self._world_of: dict[int, World] = {}
+        self._empty: dict[int, World] = {}  # by their plans
+        self._inertia = pymunk.moment_for_circle(robot.mass, 0.0, robot.radius)
+        self._dt = robot.dt / robot.substeps
+        lag = robot.wheel_time_constant
+        self._lag = 1.0 - math.exp(-self._dt / lag) if lag > 0 else 1.0
+
+    def place(self, row: int, plan: int, pose: Sequence[float]) -> None:
+        """Put a robot at rest at `pose` (x, y, heading) in the plan of that number, as a new body."""
+        self._add_body(row, plan, (pose[0], pose[1]), pose[2], (0.0, 0.0), 0.0)
+        self.drive[row] = np.zeros((), DRIVE)
+        ahead = (math.cos(pose[2]), math.sin(pose[2]))
+        for name, value in zip(("x", "y", "angle", "ahead_x", "ahead_y"), (*pose, *ahead), strict=True):
+            self.drive[name][row] = value
+
+    def _add_body(self, row: int, plan: int, position: Any, angle: float, velocity: Any, omega: float) -> None:
+        world = self._world_of.get(row)
+        if world is None or self.plan_of[row] != plan:
+            if world is not None:
+                self._leave(world, row)
+            self.plan_of[row] = plan
+            world = self._world_of[row] = self._world_with_room(plan)
+        body = pymunk.Body(self.robot.mass, self._inertia)
+        body.position, body.angle = (float(position[0]), float(position[1])), float(angle)
+        body.velocity, body.angular_velocity = velocity, omega
+        world.add(row, body, self.robot.radius)
+
+    def _world_with_room(self, plan: int) -> World:
+        for world in self.worlds:
+            if world.plan is self.plans[plan] and len(world.bodies) < self._world_size:
+                return world
+        self.worlds.append(self._empty.pop(plan, None) or World(self.plans[plan]))
+        return self.worlds[-1]
+
+    def _leave(self, world: World, row: int) -> None:
+        world.remove(row)
+        if not world.bodies:
+            self.worlds.remove(world)
+            self._empty[int(self.plan_of[row])] = world
+            if len(self._empty) > WORLDS_KEPT:
+                del self._empty[next(iter(self._empty))]
+
+    def drive_world(self, world: World, commands: np.ndarray) -> None:
+        """Drive the robots of one Space for a control step.
+
+        Parameters
+        ----------
+        world : World
+            One of `worlds`.
+        commands : (N, 2) float64
+            Wheel speeds asked for, left and right, m/s; only the rows of this world are read.
+        """
+        robot = self.robot
+        drive_bodies(
+            world.calls,
+            world.counts,
+            world.body_states,
+            world.forces,
+            world.rows,
+            self.drive,
+            commands,
+            robot.substeps,
+            robot.mass,
+            self._inertia,
+            robot.axle_track,
+            self._lag,
+            self._dt,
+        )
+
+    def __getstate__(self) -> dict[str, Any]:
+        bodies = {}
+        for row, world in self._world_of.items():
+            body = world.bodies[row]
+            bodies[row] = (
+                int(self.plan_of[row]),
+                tuple(body.position),
+                body.angle,
+                tuple(body.velocity),
+                body.angular_velocity,
+            )
+        return {"robot": self.robot, "plans": self.plans, "drive": self.drive.copy(), "bodies": bodies}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__init__(state["robot"], state["plans"], len(state["drive"]))
+        for row, (plan, position, angle, velocity, omega) in state["bodies"].items():
+            self._add_body(row, plan, position, angle, velocity, omega)
+        self.drive[:] = state["drive"]

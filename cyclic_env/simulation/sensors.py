@@ -1,0 +1,214 @@
+"""The three sensors and their errors: distance meter, compass, and what the laser's ranges suffer.
+
+The noise presets and their terms are in `cyclic_env.config`. Every robot draws from its own generator, the
+same numbers at every step whatever it does, so that its stream depends on nothing else.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from cyclic_env.config import LaserConfig, NoiseConfig
+from cyclic_env.jit import call_c, compiled
+
+DISTANCE_MAX = 1e5
+"""Metres, to either side; the distance meter shows no more."""
+
+FIELD_WAVES = 64
+"""Plane waves whose sum is the compass field; the more, the nearer to a Gaussian field."""
+
+
+class Fills(NamedTuple):
+    """Addresses of NumPy's functions that fill arrays with random numbers; 0 where its library hides them.
+
+    They are what the methods of a `Generator` call, and draw the same numbers. NumPy documents to take them from there
+    ("Extending", the example with CFFI). A method costs more than it takes to draw the numbers of a scan.
+    """
+
+    normal: int
+    uniform_f: int
+    normal_f: int
+
+
+def numpy_fills() -> Fills:
+    """Return the addresses of NumPy's functions in this process."""
+    library = ctypes.CDLL(np.random._generator.__file__)  # pyright: ignore[reportAttributeAccessIssue]
+    names = ("random_standard_normal_fill", "random_standard_uniform_fill_f", "random_standard_normal_fill_f")
+    functions = (getattr(library, name, None) for name in names)
+    return Fills(*(ctypes.cast(function, ctypes.c_void_p).value or 0 if function else 0 for function in functions))
+
+
+FILLS = numpy_fills()
+
+
+class Sensors:
+    """What the sensors of N robots have drawn for the episode, and their readings.
+
+    Attributes
+    ----------
+    true_ranges : (N, num_beams) float64
+        What the laser would read without errors, metres; filled by the engine.
+    ranges : (N, num_beams) float64
+        What it reads, metres.
+    distance : (N,) float64
+        Readings of the distance meters, metres.
+    compass : (N, 2) float64
+        Readings of the compasses: unit vectors, east and north.
+    """
+
+    def __init__(self, noise: NoiseConfig, laser: LaserConfig, num_robots: int) -> None:
+        self.noise = noise
+        self.laser = laser
+        self.true_ranges = np.zeros((num_robots, laser.num_beams))
+        self.ranges = self.true_ranges if noise.laser_is_exact else np.zeros((num_robots, laser.num_beams))
+        self.distance = np.zeros(num_robots)
+        self.compass = np.zeros((num_robots, 2))
+        self._scale = np.ones(num_robots)
+        # Wave numbers east and north, and phase, of the waves of each robot's compass field.
+        waves = FIELD_WAVES if noise.compass_field_deg > 0 else 0
+        self._field = np.zeros((num_robots, waves, 3))
+        self._field_amplitude = math.radians(noise.compass_field_deg) * math.sqrt(2 / FIELD_WAVES)
+        self._white = math.radians(noise.compass_white_deg)
+        self._drifts = noise.distance_drift > 0 or self._white > 0
+        self._normals = np.zeros((num_robots, 2))
+        drawn = 0 if noise.laser_is_exact else laser.num_beams
+        # Single precision, as the observations are: it is drawn in half the time.
+        self._beam_uniforms = np.zeros((num_robots, drawn), np.float32)
+        self._beam_normals = np.zeros((num_robots, drawn), np.float32)
+
+    def reset_row(self, row: int, rng: np.random.Generator) -> None:
+        """Draw a robot's errors for an episode; its distance meter starts at 0."""
+        self.distance[row] = 0.0
+        if self.noise.distance_scale > 0:
+            self._scale[row] = 1.0 + self.noise.distance_scale * rng.standard_normal()
+        if self._field.shape[1]:
+            field = self._field[row]
+            field[:, :2] = rng.standard_normal((FIELD_WAVES, 2)) / self.noise.compass_field_length
+            field[:, 2] = rng.uniform(0, 2 * math.pi, FIELD_WAVES)
+
+    def measure_rows(self, rows: np.ndarray, drive: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
+        """Take the readings of the robots `rows` after a step.
+
+        Parameters
+        ----------
+        rows : (n,) int64
+        drive : (N,) structured array
+            With `x`, `y`, `angle`, and `travel`: the signed displacement along the heading in this step, metres.
+        rngs : sequence of N Generators
+        """
+        noise = self.noise
+        self._draw(rows, rngs)
+        read_rows(
+            rows,
+            drive,
+            self._scale,
+            noise.distance_drift,
+            self._white,
+            self._field,
+            self._field_amplitude,
+            self._normals,
+            self.distance,
+            self.compass,
+        )
+        if noise.laser_is_exact:
+            return
+        disturb_rows(
+            rows,
+            self.true_ranges,
+            self._beam_uniforms,
+            self._beam_normals,
+            float(self.laser.range_max),
+            (noise.laser_sigma, noise.laser_sigma_relative, noise.laser_short, noise.laser_max, noise.laser_random),
+            self.ranges,
+        )
+
+    def _draw(self, rows: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
+        """Draw the random numbers of a step, from each robot's own generator."""
+        if not self._drifts and self.noise.laser_is_exact:
+            return
+        if all(FILLS):
+            generators = [rngs[row].bit_generator.ctypes.bit_generator.value for row in rows.tolist()]
+            arrays = self._normals, self._beam_uniforms, self._beam_normals
+            draw_rows(rows, np.array(generators, np.int64), FILLS, self._drifts, *arrays)
+            return
+        for row in rows:
+            if self._drifts:
+                rngs[row].standard_normal(out=self._normals[row])
+            rngs[row].random(dtype=np.float32, out=self._beam_uniforms[row])
+            rngs[row].standard_normal(dtype=np.float32, out=self._beam_normals[row])
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        if self.noise.laser_is_exact:
+            self.ranges = self.true_ranges
+
+
+@compiled
+def draw_rows(rows, generators, fills, drifts, normals, beam_uniforms, beam_normals):
+    """Fill the rows of the arrays with random numbers; the first one only where a meter or compass `drifts`.
+
+    `generators` has the addresses of the robots' generators, one for each of `rows`.
+    """
+    for i in range(rows.shape[0]):
+        row, generator = rows[i], generators[i]
+        if drifts:
+            call_c(fills.normal, (generator, normals.shape[1], normals[row].ctypes.data))
+        call_c(fills.uniform_f, (generator, beam_uniforms.shape[1], beam_uniforms[row].ctypes.data))
+        call_c(fills.normal_f, (generator, beam_normals.shape[1], beam_normals[row].ctypes.data))
+
+
+@compiled
+def field_at(waves, amplitude, x, y):
+    """Return the compass's deflection at (x, y) in radians: a sum of plane waves `waves` (n, 3), 0 for none."""
+    total = 0.0
+    for i in range(waves.shape[0]):
+        total += math.cos(waves[i, 0] * x + waves[i, 1] * y + waves[i, 2])
+    return amplitude * total
+
+
+@compiled
+def read_rows(rows, drive, scale, drift, white, field, field_amplitude, normals, distance, compass):
+    """Add the last step to the distance meters, and read the compasses, of the robots `rows`."""
+    for row in rows:
+        robot = drive[row]
+        distance[row] += robot.travel * scale[row] + drift * math.sqrt(abs(robot.travel)) * normals[row, 0]
+        deflection = field_at(field[row], field_amplitude, robot.x, robot.y)
+        shown = robot.angle + deflection + white * normals[row, 1]
+        compass[row, 0], compass[row, 1] = math.cos(shown), math.sin(shown)
+
+
+@compiled
+def disturb_rows(rows, true_ranges, uniforms, normals, range_max, terms, ranges):
+    """Write into `ranges` what the beam model makes of the true ranges of the robots `rows`.
+
+    One uniform number decides both which of the terms a beam meets and, stretched, the range that it then reads.
+
+    Parameters
+    ----------
+    rows : (n,) int64
+    true_ranges : (N, num_beams) float64
+    uniforms, normals : (N, num_beams) float32
+    range_max : float
+    terms : tuple of 5 floats
+        Of `NoiseConfig`: laser_sigma, laser_sigma_relative, laser_short, laser_max, laser_random.
+    ranges : (N, num_beams) float64
+        Written to.
+    """
+    sigma, relative, short, maximum, random = terms
+    for row in rows:
+        for beam in range(true_ranges.shape[1]):
+            true, u = true_ranges[row, beam], float(uniforms[row, beam])
+            if u < short:
+                value = true * u / short
+            elif u < short + maximum:
+                value = range_max
+            elif u < short + maximum + random:
+                value = range_max * (u - short - maximum) / random
+            else:
+                value = true + (sigma + relative * true) * float(normals[row, beam])
+            ranges[row, beam] = min(max(value, 0.0), range_max)

@@ -1,0 +1,174 @@
+"""For every place of a building, the few walls near it: the index under the laser and the lines of sight."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import shapely
+
+from cyclic_env.errors import FloorPlanError
+from cyclic_env.floor_plans.floor_plan import FloorPlan
+from cyclic_env.jit import compiled
+
+TILE_SIZE = 2.0
+"""Metres. Smaller tiles have shorter lists, but there are more of them; 2 m keeps Killian Court's in the cache."""
+
+ROUNDING = 1e-6
+"""Metres, and square metres, by which a wall may seem out of reach, or seen from behind, and still be listed."""
+
+TILES_MAX = 2_000_000
+"""Most tiles of a plan, 8 km2: a gigabyte while they are built."""
+
+GRID = np.dtype(
+    [("west", "f8"), ("south", "f8"), ("columns", "i8"), ("rows", "i8"), ("first", "i8")],
+)
+"""Squares over one plan: the south-west corner, their numbers from west to east and from south to north,
+and the number of the first one; they count row by row."""
+
+
+class WallIndex(NamedTuple):
+    """Square tiles over one or several plans, each with the walls within reach that face it.
+
+    Attributes
+    ----------
+    grids : (P,) GRID
+        The tiles of each plan.
+    walls : (W, 4) float64
+        x1, y1, x2, y2 of all plans' walls; free space lies on the left.
+    offsets : (T + 1,) int64
+        Tile t's walls are ``indices[offsets[t]:offsets[t + 1]]``.
+    indices : (L,) int32
+        Rows of `walls`.
+    """
+
+    grids: np.ndarray
+    walls: np.ndarray
+    offsets: np.ndarray
+    indices: np.ndarray
+
+
+def build_wall_index(plan: FloorPlan, reach: float) -> WallIndex:
+    """Index the walls of a plan by the tiles from which a point at most `reach` metres away may meet them.
+
+    Raises
+    ------
+    FloorPlanError
+        If the plan has too many tiles.
+    """
+    west, south, east, north = plan.bounds
+    nx, ny = (int(np.ceil((high - low) / TILE_SIZE)) for low, high in ((west, east), (south, north)))
+    if nx * ny > TILES_MAX:
+        raise FloorPlanError(
+            f"floor plan {plan.name!r} spans {east - west:.0f} m x {north - south:.0f} m; "
+            f"at most {TILES_MAX * TILE_SIZE**2 / 1e6:g} km2 can be searched for walls. Cut it into parts."
+        )
+    x, y = np.meshgrid(west + TILE_SIZE * np.arange(nx), south + TILE_SIZE * np.arange(ny))
+    boxes = shapely.box(x.ravel(), y.ravel(), x.ravel() + TILE_SIZE, y.ravel() + TILE_SIZE)
+    used = shapely.intersects(plan.prepared_space(), boxes)
+    walls = np.ascontiguousarray(plan.walls)
+    # Once to count the walls of each tile, and once to list them.
+    counts = np.zeros(nx * ny, np.int64)
+    list_walls(walls, west, south, nx, reach + ROUNDING, used, counts, np.empty(0, np.int32))
+    indices = np.empty(counts.sum(), np.int32)
+    list_walls(walls, west, south, nx, reach + ROUNDING, used, np.cumsum(counts) - counts, indices)
+    return WallIndex(
+        grids=np.array([(west, south, nx, ny, 0)], GRID),
+        walls=walls,
+        offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
+        indices=indices,
+    )
+
+
+def join_wall_indices(tiles: WallIndex, others: WallIndex) -> WallIndex:
+    """Return the index of the walls of both pools of plans, those of `others` last."""
+    return WallIndex(
+        grids=joined_grids(tiles.grids, others.grids, len(tiles.offsets) - 1),
+        walls=np.concatenate([tiles.walls, others.walls]),
+        offsets=np.concatenate([tiles.offsets, tiles.offsets[-1] + others.offsets[1:]]),
+        indices=np.concatenate([tiles.indices, others.indices + np.int32(len(tiles.walls))]),
+    )
+
+
+def joined_grids(grids: np.ndarray, others: np.ndarray, count: int) -> np.ndarray:
+    """Return the squares of both pools of plans, there being `count` of them in the first one."""
+    joined = np.concatenate([grids, others])
+    joined["first"][len(grids) :] += count
+    return joined
+
+
+@compiled
+def list_walls(walls, west, south, columns, reach, used, ends, listed):
+    """Count, or list, the walls that a point in each tile may meet: at most `reach` metres away, and facing it.
+
+    Parameters
+    ----------
+    walls : (W, 4) float64
+    west, south : float
+        The tiles' south-west corner.
+    columns : int
+    reach : float
+    used : (T,) bool
+        Tiles to have a list.
+    ends : (T,) int64
+        Written: where the list of each tile ends; where it begins, before. That counts the walls if it is 0.
+    listed : (L,) int32
+        Written: the walls' numbers, ascending for each tile. If it is empty, nothing is.
+    """
+    rows = used.shape[0] // columns
+    for w in range(walls.shape[0]):
+        x1, y1, x2, y2 = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
+        first_column = max(int((min(x1, x2) - reach - west) / TILE_SIZE) - 1, 0)
+        last_column = min(int((max(x1, x2) + reach - west) / TILE_SIZE) + 1, columns - 1)
+        first_row = max(int((min(y1, y2) - reach - south) / TILE_SIZE) - 1, 0)
+        last_row = min(int((max(y1, y2) + reach - south) / TILE_SIZE) + 1, rows - 1)
+        for row in range(first_row, last_row + 1):
+            for column in range(first_column, last_column + 1):
+                tile = row * columns + column
+                if not used[tile]:
+                    continue
+                # From the tile's middle, in which its corners are at -half and half.
+                half = 0.5 * TILE_SIZE
+                x, y = west + TILE_SIZE * (column + 0.5), south + TILE_SIZE * (row + 0.5)
+                dx, dy = x2 - x1, y2 - y1
+                area = dx * (y - y1) - dy * (x - x1)
+                if area + half * (abs(dx) + abs(dy)) <= -ROUNDING:  # behind it as a whole
+                    continue
+                if _square_distance(x1 - x, y1 - y, x2 - x, y2 - y, half) <= reach * reach:
+                    if listed.shape[0]:
+                        listed[ends[tile]] = w
+                    ends[tile] += 1
+
+
+@compiled
+def _square_distance(x1, y1, x2, y2, half):
+    """Return the squared distance from the segment (x1, y1), (x2, y2) to the square from -half to half."""
+    dx, dy = x2 - x1, y2 - y1
+    low, high = 0.0, 1.0  # part of the segment inside
+    for start, along in ((x1, dx), (y1, dy)):
+        if along != 0:
+            one, other = (-half - start) / along, (half - start) / along
+            low, high = max(low, min(one, other)), min(high, max(one, other))
+        elif abs(start) > half:
+            high = -1.0
+    if low <= high:
+        return 0.0
+    best = math.inf
+    for x, y in ((x1, y1), (x2, y2)):
+        beside_x, beside_y = max(abs(x) - half, 0.0), max(abs(y) - half, 0.0)
+        best = min(best, beside_x * beside_x + beside_y * beside_y)
+    for x in (-half, half):
+        for y in (-half, half):
+            share = min(max(((x - x1) * dx + (y - y1) * dy) / (dx * dx + dy * dy), 0.0), 1.0)
+            off_x, off_y = x1 + share * dx - x, y1 + share * dy - y
+            best = min(best, off_x * off_x + off_y * off_y)
+    return best
+
+
+@compiled
+def cell_index(grid, size, x, y):
+    """Return the number of the square of side `size` in which (x, y) lies; the nearest one for a point outside."""
+    column = min(max(int((x - grid.west) / size), 0), grid.columns - 1)
+    row = min(max(int((y - grid.south) / size), 0), grid.rows - 1)
+    return grid.first + row * grid.columns + column

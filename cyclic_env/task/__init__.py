@@ -1,0 +1,1 @@
+"""The task: loop closure and its truth, coverage, and the reward."""

@@ -1,0 +1,1 @@
+"""The task driven by hand: the state of the game and its view."""

@@ -1,0 +1,1 @@
+"""The report that tests the paper's claims."""

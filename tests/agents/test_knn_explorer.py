@@ -1,0 +1,320 @@
+"""The explorer: directions, groups and the vote as in the paper, its runs of shipped plans, and garbage."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import shapely
+
+from agents.knn.config import PRESETS, calibrated_thresholds, preset
+from agents.knn.directions import EAST, NORTH, WEST, compass_direction, sector_features
+from agents.knn.explorer import KnnExplorer, Memory
+from agents.knn.loop_detector import Detector, returned
+from agents.slam.keyframes import Keyframes
+from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv, FloorPlan
+from cyclic_env.errors import ConfigError
+
+BEAMS = 180
+
+
+def explore(
+    name: str | FloorPlan, explorer: KnnExplorer | None = None, *, seed: int = 0, steps: int = 10**9, **settings: Any
+) -> tuple[dict[str, Any], Memory]:
+    """Run an episode to its end, or until nothing is left to explore; return the last info and the memory."""
+    explorer = KnnExplorer() if explorer is None else explorer
+    env = CyclicLoopEnv(name, **settings)
+    observation, info = env.reset(seed=seed)
+    state = None
+    for _ in range(min(steps, env.step_budget)):
+        action, state = explorer.predict(observation, state)
+        observation, _, terminated, truncated, info = env.step(action)
+        if terminated or truncated or state[0].done:
+            break
+    assert state is not None
+    return info, state[0]
+
+
+# Steps 1 to 5.
+
+
+def test_a_wobble_does_not_change_the_direction() -> None:
+    direction = compass_direction(math.radians(44), None)
+    assert direction == EAST
+    assert compass_direction(math.radians(54), direction) == EAST
+    assert compass_direction(math.radians(56), direction) == NORTH
+
+
+def test_north_west_north_gives_two_of_north_and_one_of_west() -> None:
+    explorer, state = KnnExplorer(), None
+    for degrees in (90, 90, 120, 180, 170, 100, 90):
+        compass = [math.cos(math.radians(degrees)), math.sin(math.radians(degrees))]
+        observation = {"laser": np.full(BEAMS, 3.0), "distance": np.zeros(1), "compass": np.array(compass)}
+        _, state = explorer.predict(observation, state)
+    assert state is not None
+    assert state[0].indicators[NORTH] == 2
+    assert state[0].indicators[WEST] == 1
+    assert [group.name for group in state[0].groups] == ["N1", "W1", "N2"]
+
+
+def test_properties_are_the_least_ranges_of_sectors_ahead_and_back() -> None:
+    ranges = np.full(BEAMS, 9.9)
+    ranges[0] = 2.2  # ahead: the middle sector
+    ranges[45] = 4.1  # 90 degrees to the left: the last one ahead, the first one back
+    ranges[90] = 6.0
+    ahead, back = sector_features(ranges, 7, 0.5)
+    assert ahead.tolist() == [20, 20, 20, 4, 20, 20, 8]
+    assert back.tolist() == [8, 20, 20, 12, 20, 20, 20]
+
+
+def test_looking_back_is_what_is_ahead_after_turning_round() -> None:
+    ranges = np.random.default_rng(0).uniform(1, 12, BEAMS)
+    turned = np.roll(ranges, -BEAMS // 2)
+    np.testing.assert_array_equal(sector_features(ranges, 7, 0.5)[1], sector_features(turned, 7, 0.5)[0])
+
+
+def test_only_places_that_were_left_and_are_a_way_back_count_as_returned_to() -> None:
+    path = np.array([0.0, 5.0, 10.0, 15.0, 20.0, 24.0])
+    assert returned(path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0])).tolist() == [0]
+    assert returned(path, np.array([1.0, 5.0, 9.0, 5.0, 1.0, 0.0])).tolist() == []
+    assert returned(0.8 * path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0])).tolist() == []
+
+
+def voted(features: list[list[int]], groups: list[int], query: list[int]) -> int | None:
+    """Return the row that the paper's detector finds visited, of rows of one direction in these groups."""
+    places = Keyframes(BEAMS, 3)
+    for row, (values, group) in enumerate(zip([*features, query], [*groups, 99], strict=True)):
+        places.add(features=np.array([values, values]), group=group, direction=NORTH, step=row)
+    config = preset("paper", sectors=3, measure="euclidean", threshold=0.4)
+    return Detector(config)._by_vote(places).visited
+
+
+def test_the_group_with_most_of_the_four_nearest_wins_with_its_nearest_row() -> None:
+    features = [[5, 5, 5], [5, 5, 6], [5, 6, 5], [9, 9, 9], [5, 5, 5]]
+    assert voted(features, [0, 0, 0, 0, 1], [5, 5, 5]) == 0
+    assert voted(features, [0, 0, 0, 0, 1], [5, 6, 6]) == 1
+
+
+def test_ties_go_to_the_nearest_row() -> None:
+    assert voted([[5, 5, 6], [5, 5, 5], [7, 7, 7], [8, 8, 8]], [0, 1, 0, 1], [5, 5, 5]) == 1
+
+
+def test_a_place_less_alike_than_the_threshold_is_new() -> None:
+    assert voted([[1, 1, 1]], [0], [9, 9, 9]) is None
+
+
+# What it does.
+
+
+@pytest.mark.parametrize("name", ["ring", "figure_eight", "twin_rings", "chamfered", "office"])
+def test_it_closes_every_cycle_without_a_false_claim(name: str) -> None:
+    info, memory = explore(name)
+    assert info["is_success"]
+    assert info["false_claims"] == 0
+    assert info["cycles_closed"] == info["cycles_total"]
+    assert len(memory.claims) >= info["cycles_closed"]
+
+
+def test_where_there_is_no_cycle_it_sees_everything_and_claims_nothing_wrong() -> None:
+    info, _ = explore("dead_ends")
+    assert info["is_success"]
+    assert info["false_claims"] == 0
+
+
+def test_it_finds_its_way_with_typical_noise() -> None:
+    info, memory = explore("twin_rings", noise="typical", seed=1)
+    assert info["coverage"] > 0.95
+    assert info["false_claims"] == 0
+    assert len(memory.track.edges) >= memory.places.count - 1
+
+
+@pytest.mark.parametrize("action_type", ["twist", "discrete"])
+def test_it_drives_with_every_action_type(action_type: Any) -> None:
+    info, _ = explore("ring", KnnExplorer(action_type=action_type), steps=300, action_type=action_type)
+    assert info["coverage"] > 0.5
+
+
+def test_the_preset_of_the_paper_compares_tables_of_one_direction_and_stops() -> None:
+    info, memory = explore("figure_eight", KnnExplorer(PRESETS["paper"]))
+    assert memory.done
+    assert memory.detector.compared > 0
+    assert info["path_length_m"] > 10
+
+
+def test_rows_of_a_batch_are_explored_as_alone() -> None:
+    env = CyclicLoopVectorEnv(3, "office", noise="typical", autoreset_mode="SAME_STEP")
+    explorer, state = KnnExplorer(), None
+    observation, _ = env.reset(seed=[5, 6, 7])
+    batch = []
+    start = np.ones(3, np.bool_)
+    for _ in range(150):
+        actions, state = explorer.predict(observation, state, start)
+        batch.append(actions)
+        start = np.zeros(3, np.bool_)
+        observation, *_ = env.step(actions)
+    alone = CyclicLoopEnv("office", noise="typical")
+    one, _ = alone.reset(seed=6)
+    memory = None
+    for actions in batch:
+        action, memory = explorer.predict(one, memory)
+        np.testing.assert_array_equal(action, actions[1])
+        one, *_ = alone.step(action)
+
+
+def of_two_robots() -> dict[str, np.ndarray]:
+    """Return an observation of two robots that stand three metres from all walls and face east."""
+    return {"laser": np.full((2, BEAMS), 3.0), "distance": np.zeros((2, 1)), "compass": np.array([[1.0, 0.0]] * 2)}
+
+
+def test_an_episode_that_begins_is_begun_with_an_empty_memory() -> None:
+    explorer = KnnExplorer()
+    observation = of_two_robots()
+    _, state = explorer.predict(observation)
+    _, state = explorer.predict(observation, state, np.array([False, True]))
+    assert [memory.steps for memory in state] == [2, 1]
+
+
+# Garbage.
+
+GARBAGE = {
+    "all beams at maximum": {"laser": lambda rng, t: np.full(BEAMS, 12.0)},
+    "all beams at zero": {"laser": lambda rng, t: np.zeros(BEAMS)},
+    "random beams": {"laser": lambda rng, t: rng.uniform(0, 12, BEAMS)},
+    "a compass stuck": {"compass": lambda rng, t: np.array([1.0, 0.0])},
+    "a compass at random": {"compass": lambda rng, t: rng.uniform(-1, 1, 2)},
+    "a compass at zero": {"compass": lambda rng, t: np.zeros(2)},
+    "a distance that jumps a little": {"distance": lambda rng, t: 0.1 * t + rng.uniform(-5, 5, 1)},
+    "a distance that jumps": {"distance": lambda rng, t: rng.uniform(-1e5, 1e5, 1)},
+    "a distance stuck": {"distance": lambda rng, t: np.zeros(1)},
+}
+
+
+@pytest.mark.parametrize("kind", GARBAGE)
+def test_garbage_neither_raises_nor_hangs_and_claiming_stops(kind: str) -> None:
+    """After a while the sensors go wrong; a hundred steps later there are no claims any more."""
+    rng = np.random.default_rng(0)
+    env = CyclicLoopEnv("figure_eight")
+    observation, _ = env.reset(seed=0)
+    explorer, state, claims = KnnExplorer(), None, 0
+    for step in range(900):
+        if step >= 450:
+            observation = {**observation, **{name: make(rng, step) for name, make in GARBAGE[kind].items()}}
+        action, state = explorer.predict(observation, state)
+        assert np.isfinite(action).all()
+        claims += bool(step >= 550 and action[2] > 0)
+        observation, _, terminated, _, _ = env.step(action)
+        if terminated:
+            break
+    assert claims == 0
+
+
+# Settings.
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"detector": "bth"}, "both"),
+        ({"measure": "cosin"}, "cosine"),
+        ({"order": "newest"}, "last in first out"),
+        ({"neighbours": 0}, "neighbours is 0"),
+        ({"sectors": 1.5}, "sectors is 1.5"),
+        ({"rounding": -1.0}, "rounding is -1.0"),
+        ({"threshold": 3.0}, "threshold is 3.0"),
+        ({"neighbors": 3}, "neighbours"),
+        ({"neighbours": 10**5000}, "neighbours is"),
+        ({"match_scans": "False"}, "match_scans is 'False'"),
+    ],
+)
+def test_settings_that_do_not_fit_are_refused_with_a_hint(changes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        preset("extended", **changes)
+
+
+def test_an_unknown_preset_is_refused_with_the_nearest_name() -> None:
+    with pytest.raises(ConfigError, match="extended"):
+        preset("extend")
+
+
+def test_a_state_of_another_batch_is_refused() -> None:
+    explorer = KnnExplorer()
+    observation = of_two_robots()
+    _, state = explorer.predict(observation)
+    with pytest.raises(ConfigError, match="2 robots"):
+        explorer.predict({name: value[:1] for name, value in observation.items()}, state)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"compass": None}, "no compass"),
+        ({"laser": "far"}, "laser is not an array of numbers"),
+        ({"laser": np.zeros((2, 3, 180))}, r"shapes \(2, 3, 180\)"),
+        ({"distance": np.zeros((3, 1))}, r"\(3, 1\)"),
+        ({"compass": np.full((2, 2), np.nan)}, "not finite"),
+        ({"laser": np.ones((2, 11))}, "7 sectors need 12"),
+        ({"distance": np.full((2, 1), 1e20)}, r"at most 100000 m"),
+    ],
+)
+def test_an_observation_that_is_none_is_refused_with_what_is_expected(changes: dict[str, Any], message: str) -> None:
+    observation = {name: value for name, value in {**of_two_robots(), **changes}.items() if value is not None}
+    with pytest.raises(ConfigError, match=message):
+        KnnExplorer().predict(observation)
+    with pytest.raises(ConfigError, match="a dict with"):
+        KnnExplorer().predict(np.zeros(180))
+
+
+def test_a_state_of_another_laser_or_starts_of_other_robots_are_refused() -> None:
+    explorer, observation = KnnExplorer(), of_two_robots()
+    _, state = explorer.predict(observation)
+    with pytest.raises(ConfigError, match="180 beams, the observation of 90"):
+        explorer.predict({**observation, "laser": observation["laser"][:, ::2]}, state)
+    with pytest.raises(ConfigError, match="episode_start is of 3"):
+        explorer.predict(observation, state, np.zeros(3, np.bool_))
+
+
+def test_ranges_that_are_infinite_or_no_numbers_met_nothing() -> None:
+    explorer, state, other = KnnExplorer(), None, None
+    for observation in itertools.repeat(of_two_robots(), 5):
+        laser = observation["laser"].copy()
+        laser[:, 20:40] = 12.0
+        odd = laser.copy()
+        odd[:, 20:30], odd[:, 30:40] = np.inf, np.nan
+        actions, state = explorer.predict({**observation, "laser": laser}, state)
+        others, other = explorer.predict({**observation, "laser": odd}, other)
+        np.testing.assert_array_equal(actions, others)
+
+
+def test_a_config_or_a_state_that_is_none_is_refused() -> None:
+    with pytest.raises(ConfigError, match="expected an ExplorerConfig"):
+        KnnExplorer("paper")  # pyright: ignore[reportArgumentType]
+    for state in (5, "x", (1, 2)):
+        with pytest.raises(ConfigError, match="expected what the last predict returned"):
+            KnnExplorer().predict(of_two_robots(), state)
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"measures": {}}', '{"measures": {"cosine": null}}'])
+def test_damaged_thresholds_are_one_clear_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str) -> None:
+    monkeypatch.setattr("agents.knn.config.THRESHOLDS", tmp_path / "thresholds.json")
+    (tmp_path / "thresholds.json").write_text(text)
+    with pytest.raises(ConfigError, match=r"calibrate_thresholds.py"):
+        calibrated_thresholds.__wrapped__()
+
+
+def test_a_distance_meter_need_not_begin_at_zero() -> None:
+    explorer = KnnExplorer()
+    observation = {"laser": np.full(BEAMS, 3.0), "distance": np.array([1234.5]), "compass": np.array([1.0, 0.0])}
+    _, state = explorer.predict(observation)
+    _, state = explorer.predict({**observation, "distance": np.array([1234.7])}, state)
+    np.testing.assert_allclose(state[0].track.pose, (0.2, 0.0, 0.0), atol=1e-9)
+    assert not state[0].trusted_from
+
+
+def test_an_open_hall_is_seen_to_its_ends_with_many_beams() -> None:
+    hall = FloorPlan("hall", shapely.box(0, 0, 40, 40), (20, 20, 0))
+    info, _ = explore(hall, laser={"num_beams": 1080})
+    assert info["is_success"]

@@ -1,0 +1,208 @@
+"""The command lines that make floor plans of maps and maps of floor plans, and that draw maps to try them with."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+from PIL import Image
+
+from cyclic_env.floor_plans import OccupancyGrid, load_floor_plan, read_floor_plan, trace_floor_plan
+from cyclic_env.floor_plans.occupancy.grid import FREE, OCCUPIED, UNKNOWN
+from tests.helpers import load_script
+
+import_map = load_script("import_map")
+make_ros_maps = load_script("make_ros_maps")
+
+
+@pytest.fixture
+def ros_map(tmp_path: Path) -> Path:
+    """Return the map of a ring of corridors, 20 m x 16 m, with some specks in it."""
+    shades = np.full((360, 440), 205, np.uint8)
+    shades[19:341, 19:421] = 0
+    shades[20:340, 20:420] = 254
+    shades[70:290, 70:370] = 0
+    shades[40:44, 100:400:50] = 0
+    Image.fromarray(shades).save(tmp_path / "hall.pgm")
+    data = {"image": "hall.pgm", "resolution": 0.05, "origin": [-1, -1, 0.5]}
+    (tmp_path / "hall.yaml").write_text(yaml.safe_dump(data))
+    return tmp_path / "hall.yaml"
+
+
+def test_a_map_becomes_a_plan_with_a_figure_and_a_table(
+    ros_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out, figure = tmp_path / "new" / "plan.yaml", tmp_path / "new" / "plan.png"
+    assert import_map.main([str(ros_map), "--out", str(out), "--figure", str(figure)]) == 0
+    plan = load_floor_plan(out)
+    assert plan.cycles_total == 1
+    assert plan.source == "traced from hall.yaml by scripts/import_map.py"
+    plan.reachable(0.25)
+    table = capsys.readouterr().out
+    assert "of an image of 440 x 360 pixels of 0.05 m" in table
+    assert f"free area  {plan.free_area:,.0f} m2" in table
+    assert "cycles  1, of 52 m" in table
+    assert f"walls  {len(plan.walls)}, pillars among them 0" in table
+    assert "6 specks of 0.1 m2" in table
+    assert f"written: {out}, {figure}" in table
+    with Image.open(figure) as picture:
+        assert picture.width > 2 * 10 * import_map.FIGURE_DPI - 5
+        assert len(np.unique(np.asarray(picture.convert("L")))) > 10
+
+
+def test_options_reach_the_tracing(ros_map: Path, tmp_path: Path) -> None:
+    out = tmp_path / "plan.yaml"
+    start = read_floor_plan(ros_map).start
+    arguments = [str(ros_map), "--out", str(out), "--start", f"{start[0]}", f"{start[1]}", "1.5"]
+    assert import_map.main([*arguments, "--speck-area", "0", "--nook-area", "0.3", "--gap", "0.1", "--door", "1"]) == 0
+    plan = load_floor_plan(out)
+    assert plan.start == (start[0], start[1], 1.5)
+    assert len(plan.free_space.interiors) == 7
+    assert import_map.main([*arguments, "--tolerance", "0.3", "--robot-radius", "0.6"]) == 0
+    assert load_floor_plan(out).cycles_total == 1
+
+
+def test_a_plan_of_the_paper_and_floor_in_grey_are_remarked_upon(
+    ros_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert import_map.main([str(ros_map)]) == 0
+    assert "look" not in capsys.readouterr().out
+    paper = np.full((200, 300), 254, np.uint8)
+    paper[50:150, 100:200] = 0
+    Image.fromarray(paper).save(tmp_path / "paper.png")
+    assert import_map.main([str(tmp_path / "paper.png"), "--resolution", "0.1"]) == 0
+    assert "look  the plan reaches the image's edge" in capsys.readouterr().out
+    grey = np.asarray(Image.open(ros_map.with_suffix(".pgm"))).copy()
+    grey[:, 230:][grey[:, 230:] == 254] = 190
+    Image.fromarray(np.where(grey == 205, 128, grey)).save(ros_map.with_suffix(".pgm"))
+    assert import_map.main([str(ros_map)]) == 0
+    assert "m2 of light grey are unknown by free_thresh" in capsys.readouterr().out
+
+
+def test_a_picture_needs_a_resolution(ros_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    picture, out = str(ros_map.with_suffix(".pgm")), tmp_path / "plan.yaml"
+    assert import_map.main([picture, "--out", str(out)]) == 2
+    assert capsys.readouterr().err.startswith(f"import_map.py: {picture}: a picture does not say")
+    assert import_map.main([picture, "--resolution", "0.1", "--out", str(out)]) == 0
+    assert load_floor_plan(out).bounds == pytest.approx((2, 2, 42, 34), abs=0.01)
+
+
+def test_plans_and_maps_are_exported(ros_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert import_map.main(["ring", "--export", str(tmp_path / "maps"), "--resolution", "0.1"]) == 0
+    assert "hall" not in capsys.readouterr().out
+    back = read_floor_plan(tmp_path / "maps" / "ring.yaml")
+    assert back.free_area == pytest.approx(load_floor_plan("ring").free_area, rel=0.01)
+    assert import_map.main([str(ros_map), "--export", str(tmp_path / "maps")]) == 0
+    assert {path.name for path in (tmp_path / "maps").iterdir()} == {"ring.yaml", "ring.pgm", "hall.yaml", "hall.pgm"}
+
+
+def test_without_an_output_nothing_is_written(ros_map: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = set(ros_map.parent.iterdir())
+    assert import_map.main([str(ros_map)]) == 0
+    assert "nothing written; give --out" in capsys.readouterr().out
+    assert set(ros_map.parent.iterdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["nowhere.yaml", "--export", "x"], "there is no floor plan file 'nowhere.yaml'"),
+        (["nowhere.png", "--resolution", "1"], "nowhere.png: image: there is no file"),
+        (["ring"], "ring is a floor plan already: give --export"),
+        (["ring", "--out", "x.yaml", "--gap", "1", "--export", "x"], "ring is a floor plan already"),
+        (["rinng", "--export", "x"], "unknown map 'rinng'"),
+        (["MAP", "--start", "0", "0", "0"], r"MAP: start (0, 0) is in a wall"),
+        (["MAP", "--gap", "-1"], "MAP: gap: expected metres"),
+        (["MAP", "--robot-radius", "9"], "MAP: the robot fits nowhere"),
+        (["MAP", "--out", "MAP/plan.yaml"], "can't write to"),
+        (["ring", "--export", "x", "--resolution", "0"], "resolution: expected metres a pixel"),
+        (["ring", "--export", "x", "--resolution", "1e-300"], "resolution: expected metres a pixel"),
+        (["ring", "--export", "x", "--resolution", "50"], "at 50 m a pixel 'ring' has no free cell"),
+        (["MAP", "--resolution", "0.1"], "MAP says itself how large a pixel is"),
+        (["MAP", "--robot-radius", "1e300"], "MAP: the robot fits nowhere"),
+        (["MAP", "--start", "nan", "0", "0"], "MAP: start: expected x, y and heading from -100000 to 100000"),
+        (["MAP", "--start", "2", "2", "1e9"], "MAP: start: expected x, y and heading from -100000 to 100000"),
+        (["MAP", "--figure", "plan.xyz"], "plan.xyz: a figure's name ends with one of: .avif"),
+        (["MAP", "--figure", "plan"], "plan: a figure's name ends with one of: .avif"),
+        (["MAP", "--figure", "a.png", "--out", "a.png"], "a.png would be written twice"),
+        (["MAP", "--out", "MAP"], "MAP would be written over, but it is read"),
+        (["MAP", "--export", "."], "hall.yaml would be written over, but it is read"),
+        (["odd_name.yaml", "--export", "x"], "the plan's name '../hall' is no name of a file"),
+    ],
+)
+def test_bad_input_is_one_line(
+    arguments: list[str],
+    message: str,
+    ros_map: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "odd_name.yaml").write_text(ros_map.read_text() + "\nname: ../hall\n")
+    before = ros_map.read_bytes()
+    assert import_map.main([argument.replace("MAP", str(ros_map)) for argument in arguments]) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("import_map.py: ")
+    assert message.replace("MAP", str(ros_map)) in said
+    assert said.count("\n") == 1
+    assert ros_map.read_bytes() == before
+
+
+def test_ctrl_c_is_one_line(ros_map: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    def interrupted(*_: Any, **__: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(import_map, "trace_floor_plan", interrupted)
+    assert import_map.main([str(ros_map)]) == 130
+    assert "stopped; not all files were written" in capsys.readouterr().err
+    monkeypatch.setattr(make_ros_maps, "rasterise", interrupted)
+    assert make_ros_maps.main(["--out", str(ros_map.parent / "out")]) == 130
+    assert "stopped; not all maps were written" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(("name", "cycles"), [("office_floor", 2), ("hospital", 4)])
+def test_drawn_buildings_are_large_and_have_their_cycles(
+    name: str, cycles: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(make_ros_maps, "MAPS", {name: make_ros_maps.MAPS[name]})
+    assert make_ros_maps.main(["--out", str(tmp_path)]) == 0
+    with Image.open(tmp_path / f"{name}.pgm") as picture:
+        assert picture.width >= 1500
+        assert picture.height >= 1000
+    plan = read_floor_plan(tmp_path / f"{name}.yaml")
+    assert plan.cycles_total == cycles
+    assert len(plan.walls) < 300
+
+
+@pytest.fixture(scope="module")
+def hut() -> OccupancyGrid:
+    """Return the scan of a ring of corridors with two furnished rooms."""
+    ring = [(0, 0), (14, 0), (14, 12), (0, 12), (0, 0)]
+    model = make_ros_maps.building("hut", "", 2.4, [ring], [((14, 0), (0, 0), 5.5, 2)], furnished=True)
+    return make_ros_maps.scan(model, np.random.default_rng(0))
+
+
+def test_a_scan_has_unknown_space_windows_and_specks(hut: OccupancyGrid) -> None:
+    shares = [np.mean(hut.cells == value) for value in (UNKNOWN, FREE, OCCUPIED)]
+    assert all(share > 0.005 for share in shares)
+    rows, columns = np.nonzero(hut.free)
+    yard = hut.to_world(np.stack([columns, rows], axis=1) + 0.5)
+    assert np.count_nonzero(yard[:, 1] > 13.5) > 10_000  # seen through windows
+
+
+def test_a_scan_becomes_a_plan_of_the_building_alone(hut: OccupancyGrid) -> None:
+    plan, specks, _, _ = trace_floor_plan(hut, start=(2.0, 0.0, 0.0))  # there is more yard than building
+    assert plan.cycles_total == 1
+    assert plan.free_area == pytest.approx(52 * 2.4 + 2 * 6.8 * 5.5, rel=0.1)
+    assert plan.bounds == pytest.approx((-1.2, -6.9, 15.2, 13.2), abs=0.4)
+    assert specks > 100
+
+
+def test_scans_are_the_same_every_time(hut: OccupancyGrid) -> None:
+    ring = [(0, 0), (14, 0), (14, 12), (0, 12), (0, 0)]
+    model = make_ros_maps.building("hut", "", 2.4, [ring], [((14, 0), (0, 0), 5.5, 2)], furnished=True)
+    assert (make_ros_maps.scan(model, np.random.default_rng(0)).cells == hut.cells).all()
