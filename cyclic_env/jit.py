@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import re
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -28,27 +29,38 @@ def compiled(function: Callable[..., Any]) -> Any:
     and made two threads on the same arrays slower than one.
     """
     kernel: Any = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)  # pyright: ignore[reportCallIssue]
-    # numba's cache only asks whether a kernel's own file has changed; but other files' kernels are compiled into it.
-    kernel._cache._cache_file._source_stamp = _sources_digest(_package_root(Path(function.__code__.co_filename)))
+    # numba's cache only asks whether a kernel's own file has changed, but kernels of other files are compiled into it.
+    kernel._cache._cache_file._source_stamp = _sources_digest(Path(function.__code__.co_filename))
     return kernel
 
 
-def _package_root(file: Path) -> Path:
-    """Return the folder of the outermost package that a source file is in, or the file's own folder."""
-    folder = file.parent
-    while (folder.parent / "__init__.py").exists():
-        folder = folder.parent
-    return folder
+@cache
+def _sources_digest(file: Path) -> str:
+    """Return a digest of a source file and of all that it imports from its own package and this one."""
+    sources, waiting = set[Path](), [file.resolve()]
+    while waiting:
+        source = waiting.pop()
+        if source not in sources:
+            sources.add(source)
+            waiting.extend(_imported_files(source))
+    digest = hashlib.sha256()
+    for source in sorted(sources):
+        digest.update(source.read_bytes())
+    return digest.hexdigest()
 
 
 @cache
-def _sources_digest(folder: Path) -> str:
-    """Return a digest of this package's sources and of those below `folder`, if that is a package."""
-    digest = hashlib.sha256()
-    others = folder.rglob("*.py") if (folder / "__init__.py").exists() else folder.glob("*.py")
-    for path in sorted({*Path(__file__).parent.rglob("*.py"), *others}):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
+def _imported_files(file: Path) -> list[Path]:
+    """Return the files of the modules that a source file imports from its own package and this one."""
+    root = file.parent
+    while (root / "__init__.py").exists():
+        root = root.parent
+    files = []
+    for name in re.findall(r"^\s*(?:from|import) ([\w.]+)", file.read_text(encoding="utf-8"), re.MULTILINE):
+        for folder in {root, Path(__file__).resolve().parents[1]}:
+            path = folder.joinpath(*name.split("."))
+            files += [one for one in (path.with_suffix(".py"), path / "__init__.py") if one.is_file()]
+    return files
 
 
 def inlined(function: Callable[..., Any]) -> Any:
