@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 
 from agents.actions import BACK, MATCH_START, drive_actions, with_claims
-from cyclic_env.config import ACTION_TYPES, ActionType, check_choice
+from cyclic_env.config import ACTION_TYPES, ActionType
 from cyclic_env.errors import ConfigError
+from cyclic_env.validation import check_choice
 
 MEMORY = np.dtype(
     [
