@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 import yaml
 
 from cyclic_env.atomic_write import write_text_atomically
-from cyclic_env.errors import FloorPlanError, short_repr, unknown_name
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
 from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES, occupancy_grid_from_mapping
 from cyclic_env.floor_plans.occupancy.tracing import trace_floor_plan
@@ -25,6 +24,7 @@ from cyclic_env.floor_plans.yaml_io import (
     parse_yaml,
     read_yaml,
 )
+from cyclic_env.validation import short_repr, unknown_name
 
 KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "corridors", "rooms", "centrelines")
 
@@ -39,7 +39,7 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
     FloorPlanError
         Naming the file and the key, if the file can't be read or does not follow the format.
     """
-    path = _checked_path(path)
+    path = Path(path)
     if path.suffix.lower() in IMAGE_SUFFIXES:
         raise FloorPlanError(
             f"{path}: a picture does not say how large a pixel is; name a YAML file with the keys image, resolution "
@@ -54,12 +54,6 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
         return replace(plan, file=str(path))
     except FloorPlanError as error:
         raise FloorPlanError(f"{path}: {error}") from error
-
-
-def _checked_path(path: object) -> Path:
-    if not isinstance(path, str | os.PathLike):
-        raise FloorPlanError(f"the file of a floor plan is a path; got {type(path).__name__}.")
-    return Path(os.fsdecode(path))
 
 
 def floor_plan_from_text(text: str) -> FloorPlan:
@@ -79,14 +73,10 @@ def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
     Raises
     ------
     FloorPlanError
-        If `plan` is no floor plan, or the file can't be written.
+        If the file can't be written.
     """
-    path = _checked_path(path)
-    if not isinstance(plan, FloorPlan):
-        raise FloorPlanError(f"{path}: what is to be written must be a FloorPlan; got {type(plan).__name__}.")
-    text = floor_plan_to_text(plan, digits=6)
     try:
-        write_text_atomically(path, text)
+        write_text_atomically(path, floor_plan_to_text(plan, digits=6))
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
 

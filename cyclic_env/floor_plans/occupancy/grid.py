@@ -9,8 +9,9 @@ import numpy as np
 import shapely
 from scipy import ndimage
 
-from cyclic_env.errors import FloorPlanError, short_repr
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, Pose
+from cyclic_env.validation import short_repr
 
 FREE, OCCUPIED, UNKNOWN = 0, 100, -1
 """Values of a cell, as in ``nav_msgs/OccupancyGrid``; values between the first two are percentages."""

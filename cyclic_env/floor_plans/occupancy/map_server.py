@@ -11,7 +11,7 @@ import numpy as np
 import yaml
 
 from cyclic_env.atomic_write import atomic_write, write_text_atomically
-from cyclic_env.errors import FloorPlanError, short_repr, unknown_name
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import Pose
 from cyclic_env.floor_plans.occupancy.grid import (
     CELLS_MAX,
@@ -24,6 +24,7 @@ from cyclic_env.floor_plans.occupancy.grid import (
     check_size,
 )
 from cyclic_env.floor_plans.yaml_io import as_list, as_number, as_start, as_text, name_of, read_yaml
+from cyclic_env.validation import short_repr, unknown_name
 
 if TYPE_CHECKING:
     from PIL.Image import Image

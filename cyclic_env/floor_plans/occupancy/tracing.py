@@ -17,7 +17,7 @@ import numpy as np
 import shapely
 from shapely.geometry import Point, Polygon
 
-from cyclic_env.errors import FloorPlanError, short_repr
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, Pose
 from cyclic_env.floor_plans.occupancy.grid import OccupancyGrid
 from cyclic_env.floor_plans.occupancy.morphology import grow_back
@@ -31,6 +31,7 @@ from cyclic_env.floor_plans.occupancy.regions import (
     reachable_centres,
 )
 from cyclic_env.jit import compile_notice
+from cyclic_env.validation import short_repr
 
 CLEARANCE = 0.5
 """Least distance between the robot and the centre of a wall's cell, in cells: half a cell keeps it off the side."""
