@@ -43,18 +43,16 @@ from cyclic_env.task.coverage import CoverageGrid, build_coverage_grid, joined_c
 from cyclic_env.task.loop_closure import (
     NEAREST,
     NO_CLAIM,
-    ClosureMemory,
     ClosureRules,
     advance,
-    allocate_memory,
     begin,
-    building_view,
     closure_rules,
-    joined_memory,
     judge_claim,
-    robot_view,
+    precision_of,
+    recall_of,
     settle_event,
 )
+from cyclic_env.task.path_history import ClosureMemory, allocate_memory, building_view, joined_memory, robot_view
 from cyclic_env.task.rewards import REWARD_TERMS, reward_row, reward_weights
 from cyclic_env.validation import as_array, check_choice, is_integer, short_repr, unknown_name
 
@@ -672,9 +670,9 @@ def step_rows(buildings, episodes, rows, claimed):
         x, y, heading = robot.x, robot.y, wrap_angle(robot.angle)
         scan_row(buildings.tiles, plan, x, y, heading, directions, buildings.range_max, scratch, ranges)
 
-        path_before, false_before = status.path, status.false_claims
+        path_before, false_before = status.path_length, status.false_claims
         advance(path, ground, rules, x, y)
-        if passed_mark(path_before, status.path, buildings.scan_spacing):
+        if passed_mark(path_before, status.path_length, buildings.scan_spacing):
             outcome.cells_seen += mark_scan(
                 grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, directions, ranges
             )
@@ -688,7 +686,7 @@ def step_rows(buildings, episodes, rows, claimed):
         outcome.terminated = info.is_success or (buildings.terminate_on_collision and robot.contact)
         outcome.truncated = status.steps >= buildings.step_budget[plan] and not outcome.terminated
         if outcome.terminated or outcome.truncated:
-            settle_event(status, rules)
+            settle_event(path, ground, rules)
             report(info, status, outcome.cells_seen / cells_total, buildings.coverage_complete, x, y, heading)
         outcome.reward = reward_row(
             buildings.weights[plan],
@@ -723,9 +721,8 @@ def report(info, status, share_seen, share_complete, x, y, heading):
     info.false_claims = status.false_claims
     info.revisits = status.revisits
     info.revisits_recognised = status.recognised
-    judged = status.recognised + status.false_claims
-    info.precision = status.recognised / judged if judged > 0 else 1.0
-    info.recall = status.recognised / status.revisits if status.revisits > 0 else 1.0
+    info.precision = precision_of(status)
+    info.recall = recall_of(status)
     info.new_cycle = status.new_cycle
-    info.path_length_m = status.path
+    info.path_length_m = status.path_length
     info.x, info.y, info.heading = x, y, heading

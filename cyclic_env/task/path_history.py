@@ -186,9 +186,7 @@ def allocate(
         counted=_lazy_array((num_robots, max_steps + 1), np.dtype(np.bool_)),
         visits=_lazy_array((num_robots, max_steps + 1), VISIT),
         cells=np.empty((num_robots, columns * rows, 3), np.int32),
-        crossing_checkpoints=_lazy_array(
-            (num_robots, max_steps // CHECKPOINT_STEPS + 2, cycles), np.dtype(np.int64)
-        ),
+        crossing_checkpoints=_lazy_array((num_robots, max_steps // CHECKPOINT_STEPS + 2, cycles), np.dtype(np.int64)),
         basis=np.empty((num_robots, cycles, cycles), np.int64),
         claims=_lazy_array((num_robots, max_steps), CLAIM),
         grids=np.array([(west, south, columns, rows, 0)], GRID),
