@@ -23,9 +23,9 @@ from gymnasium.utils import seeding
 from cyclic_env import __version__
 from cyclic_env.atomic_write import atomic_write, check_writable
 from cyclic_env.config import NOISE_PRESETS, NoiseConfig, from_mapping
-from cyclic_env.engine.engine import INFO
+from cyclic_env.engine.building import INFO
+from cyclic_env.envs.arguments import check_seed
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
-from cyclic_env.envs.spaces import checked_seed
 from cyclic_env.errors import ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError
 from cyclic_env.floor_plans import FloorPlan, floor_plan_from_text, floor_plan_to_text, load_floor_plan, map_names
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX
@@ -189,8 +189,7 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
         if self._path is not None:
             check_writable(self._path)
         self._laser = laser
-        plans = self._core.engine.config.plans
-        self._shipped = tuple(_is_shipped(plan) for plan in plans)
+        self._shipped = tuple(_is_shipped(plan) for plan in self._core.floor_plans)
         self._episode = 0
         self._written = True
         self._reset: dict[str, Any] = {}
@@ -213,7 +212,7 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Write the last episode, if that was not done, and begin another."""
         self.save()
-        seed = checked_seed(seed)
+        seed = check_seed(seed)
         generator = (self._core.np_random if seed is None else seeding.np_random(seed)[0]).bit_generator.state
         if generator["bit_generator"] != "PCG64":
             raise ConfigError(f"the env draws from {generator['bit_generator']}; only PCG64, NumPy's own, is recorded.")
@@ -232,7 +231,7 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
         """Step the environment."""
         if not self._moments:
             raise UsageError("there is no episode to record yet: call reset() of the Recorder first.")
-        kind = np.int64 if self._core.engine.config.action_type == "discrete" else np.float64
+        kind = np.int64 if self._core.config.action_type == "discrete" else np.float64
         observation, reward, terminated, truncated, info = self.env.step(action)
         kept = as_array(action, "the action", "one of the action space", ConfigError).astype(kind)
         self._info, self._ended = info, (bool(terminated), bool(truncated))
@@ -265,16 +264,17 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
         """
         if not self._moments:
             raise UsageError("there is no episode to record yet: call reset() of the Recorder first.")
-        config = self._core.engine.config
+        config = self._core.config
         actions, rewards, poses, distance, compass, digests, laser = zip(*self._moments, strict=True)
         columns = 2 if config.action_type == "discrete" else 4
         distance, compass = np.concatenate(distance), np.stack(compass)
         claims = self._core.claims()
         return Recording(
-            plans=tuple(config.plans),
+            plans=tuple(self._core.floor_plans),
             shipped=self._shipped,
             settings={name: getattr(config, name) for name in SETTINGS}
-            | {name: asdict(getattr(config, name)) for name in SETTING_GROUPS},
+            | {name: asdict(getattr(config, name)) for name in SETTING_GROUPS if name != "noise"}
+            | {"noise": asdict(config.sensor_noise)},
             **self._reset,
             versions=versions(),
             map=self._core.floor_plan.name,

@@ -105,7 +105,7 @@ class Renderer:
             return frame
         if self._window is None:
             hint = 'leave out --human, or use render_mode="rgb_array", which needs none.'
-            self._window = Window(canvas_size(engine.config.plans), self._fps, hint)
+            self._window = Window(canvas_size(engine.plans), self._fps, hint)
         if self._window.is_open():
             self._window.show(draw_picture(engine, row))
         return None
@@ -181,7 +181,7 @@ class Window:
 
 def draw_picture(engine: Engine, row: int) -> pygame.Surface:
     """Return the picture of a robot, opaque, 32 bits a pixel."""
-    scene = scene_of(engine.plan(row), canvas_size(engine.config.plans))
+    scene = scene_of(engine.plan(row), canvas_size(engine.plans))
     moment = RobotSnapshot.of(engine, row)
     picture = opaque_surface(scene.size)
     _draw_layers(picture, scene.view, scene.overlay, moment, 1)
@@ -377,11 +377,11 @@ def _draw_inset(picture: pygame.Surface, scene: Scene, place: pygame.Rect, momen
 
 def _draw_scores(picture: pygame.Surface, engine: Engine, row: int) -> None:
     """Draw the line of scores."""
-    info, plan = engine.info[row], engine.plan(row)
-    steps = int(engine.episodes.memory.status["steps"][row])
+    info = engine.info[row]
+    steps = int(engine.steps[row])
     right = int(info["claims"] - info["false_claims"])
     scores = [
-        ("step", f"{steps:,} / {engine.config.step_budget_of(plan):,}", 0.0),
+        ("step", f"{steps:,} / {engine.step_budget(row):,}", 0.0),
         ("seen", f"{100 * info['coverage']:.1f} %", 0.215),
         ("cycles", f"{info['cycles_closed']} / {info['cycles_total']}", 0.35),
         ("claims", "", 0.475),

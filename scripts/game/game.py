@@ -67,7 +67,7 @@ class Play:
 
     def __init__(self, env: gymnasium.Env[Any, Any], *, seed: int = 0, show: Show = "robot") -> None:
         core = env.unwrapped
-        if not isinstance(core, CyclicLoopEnv) or core.engine.config.action_type != "wheels":
+        if not isinstance(core, CyclicLoopEnv) or core.config.action_type != "wheels":
             raise ConfigError(f"the env is {short_repr(env)}; expected a CyclicLoop environment driven by wheels.")
         self.env = env
         self.core = core
@@ -118,7 +118,7 @@ class Play:
     def hits(self) -> np.ndarray:
         """Where the beams of the last scan end that met something, by dead reckoning, `(n, 2)`."""
         x, y, heading, _ = self.way[-1]
-        laser, ranges = self.core.engine.config.laser, self._observation["laser"]
+        laser, ranges = self.core.config.laser, self._observation["laser"]
         bearings = heading + laser.beam_spacing * np.arange(laser.num_beams)
         ends = np.array([x, y]) + ranges[:, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
         return ends[ranges < laser.range_max]
@@ -128,7 +128,7 @@ class Play:
         if self._picked is not None:
             return self._picked
         driven = self.way[:, 3]
-        gap = self.core.engine.config.closure.gap
+        gap = self.core.config.closure.gap
         old = np.flatnonzero(driven[-1] - driven >= gap)
         if not len(old):
             return None
@@ -146,7 +146,7 @@ class Play:
     def claim(self) -> None:
         """Claim, with the next step, to be back at the candidate."""
         if self.candidate() is None:
-            gap = self.core.engine.config.closure.gap
+            gap = self.core.config.closure.gap
             self.message = f"nothing to claim yet: a place counts when {gap:g} m were driven since, or click on one"
         elif not self.ended:
             self._claims = True

@@ -41,7 +41,7 @@ KEYS = (
 
 def play_size(play: Play) -> tuple[int, int]:
     """Return the width and height of the pictures of a play."""
-    width, height = canvas_size(play.core.engine.config.plans) if play.show == "truth" else ROBOT_SIZE
+    width, height = canvas_size(play.core.floor_plans) if play.show == "truth" else ROBOT_SIZE
     return width, height + STRIP
 
 
@@ -50,7 +50,7 @@ def play_view(play: Play) -> View:
     width, height = play_size(play)
     if play.show == "truth":
         return scene_of(play.core.floor_plan, (width, height - STRIP)).view
-    reach = play.core.engine.config.laser.range_max
+    reach = play.core.config.laser.range_max
     around = [play.positions, play.positions[-1:] - reach, play.positions[-1:] + reach, play.cloud]
     points = np.concatenate(around)
     (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
@@ -89,7 +89,7 @@ def _draw_sensed(picture: pygame.Surface, view: View, play: Play) -> None:
     if len(way) > 1:
         draw_line(picture, PATH_NEW, way, 2, smooth=False)
     blit_middle(picture, start_mark(MARK), *way[0])
-    radius = max(ROBOT_RADIUS_MIN, play.core.engine.config.robot.radius * view.scale)
+    radius = max(ROBOT_RADIUS_MIN, play.core.config.robot.radius * view.scale)
     blit_middle(picture, robot_mark(radius, float(play.pose[2])), *way[-1])
     metres = next(step for step in (5.0, 10.0, 20.0, 50.0, 100.0, 1e3) if step * view.scale > 60)
     draw_scale_bar(picture, MARGIN, picture.get_height() - STRIP - MARGIN, view.scale, metres)
