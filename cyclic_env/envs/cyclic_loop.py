@@ -235,7 +235,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             from cyclic_env.rendering.renderer import Renderer
 
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
-        return self._renderer.draw(self.engine, 0)
+        return self._renderer.draw(self)
 
     def close(self) -> None:
         """Close the window, if there is one, and end the threads."""

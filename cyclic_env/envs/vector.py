@@ -293,7 +293,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
 
             count = 1 if self.render_mode == "human" else self.num_envs
             self._renderers = [Renderer(self.render_mode, self.metadata["render_fps"]) for _ in range(count)]
-        return tuple(renderer.draw(self.engine, row) for row, renderer in enumerate(self._renderers))
+        return tuple(renderer.draw(self, row) for row, renderer in enumerate(self._renderers))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the window and end the threads."""
