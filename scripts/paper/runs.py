@@ -157,7 +157,7 @@ def _record(env: CyclicLoopEnv, memory: Memory, metrics: dict[str, Any], heading
         group=keyframes.group.copy(),
         features=keyframes.features.astype(np.int16),
         beams=np.rint(keyframes.scan / BEAM_ROUNDING).astype(np.uint8),
-        truth=true_returns(env.floor_plan, way, keyframes.step, env.engine.config.closure),
+        truth=true_returns(env.floor_plan, way, keyframes.step, env.config.closure),
         areas=np.array(areas).reshape(-1, 2),
     )
 
@@ -205,7 +205,7 @@ def drive_again(record: RunRecord, settings: RunSettings, laps: int, *, noise: s
     if laps == 2:
         driven_so_far = np.maximum.accumulate(way[:, 2])  # some rows are shifted to before the one before them
         judged = np.column_stack([way[:, :2], driven_so_far])
-        truth = true_returns(env.floor_plan, judged, step, env.engine.config.closure)
+        truth = true_returns(env.floor_plan, judged, step, env.config.closure)
     env.close()
     groups = int(record.group[-1]) + 1
     return replace(
