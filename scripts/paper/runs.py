@@ -13,8 +13,8 @@ from agents.knn.config import ExplorerConfig, preset
 from agents.knn.directions import sector_features
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.slam.scan_filters import despeckle
+from cyclic_env import CyclicLoopEnv
 from cyclic_env.config import NoiseConfig, noise_from_name
-from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.task.judgement import true_returns
 from cyclic_env.task.loop_closure import RETURNS
 from cyclic_env.trajectory.metrics import ate
