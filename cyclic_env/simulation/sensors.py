@@ -1,7 +1,7 @@
-"""The three sensors and their errors: distance meter, compass, and what the laser's ranges suffer.
+"""The three sensors and their errors: distance meter, compass and laser.
 
-The noise presets and their terms are in `cyclic_env.config`. Every robot draws from its own generator, the
-same numbers at every step whatever it does, so that its stream depends on nothing else.
+The noise presets and their terms are in `cyclic_env.config`. Every robot draws from a generator of its own, equally
+many numbers at every step whatever it does, so that its random numbers depend on nothing else.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from cyclic_env.config import LaserConfig, NoiseConfig
 from cyclic_env.jit import call_c, compiled
 
 FIELD_WAVES = 64
-"""Plane waves whose sum is the compass field; the more, the nearer to a Gaussian field."""
+"""Number of plane waves whose sum is the compass field; the more, the closer it is to a Gaussian field."""
 
 
 class Fills(NamedTuple):
-    """Addresses of NumPy's functions that fill arrays with random numbers; 0 where its library hides them.
+    """Addresses of NumPy's C functions that fill arrays with random numbers; 0 where its library hides them.
 
-    They are what the methods of a `Generator` call, and draw the same numbers. NumPy documents to take them from there
-    ("Extending", the example with CFFI). A method costs more than it takes to draw the numbers of a scan.
+    The methods of a `Generator` call them, so that they draw the same numbers, but calling a method takes longer than
+    drawing the numbers of a scan. NumPy documents this use ("Extending", the example with CFFI).
     """
 
     normal: int
@@ -43,15 +43,42 @@ def numpy_fills() -> Fills:
 FILLS = numpy_fills()
 
 
+class MeterErrors(NamedTuple):
+    """Errors of the distance meters and compasses of N robots, as the compiled code takes them.
+
+    Attributes
+    ----------
+    scale : (N,) float64
+        True metres are multiplied by it.
+    drift : float
+        Metres for a square root of a metre driven.
+    white : float
+        Of the compass, radians.
+    field : (N, waves, 3) float64
+        Wave numbers east and north, and phase, of the waves of each robot's compass field.
+    field_amplitude : float
+        Of each wave, radians.
+    normals : (N, 2) float64
+        The step's random numbers: of the meter and of the compass.
+    """
+
+    scale: np.ndarray
+    drift: float
+    white: float
+    field: np.ndarray
+    field_amplitude: float
+    normals: np.ndarray
+
+
 class Sensors:
-    """What the sensors of N robots have drawn for the episode, and their readings.
+    """The sensors of N robots: the errors drawn for their episodes, and their readings.
 
     Attributes
     ----------
     true_ranges : (N, num_beams) float64
         What the laser would read without errors, metres; filled by the engine.
     ranges : (N, num_beams) float64
-        What it reads, metres.
+        What it reads, metres; the same array where the laser is exact.
     distance : (N,) float64
         Readings of the distance meters, metres.
     compass : (N, 2) float64
@@ -65,14 +92,15 @@ class Sensors:
         self.ranges = self.true_ranges if noise.laser_is_exact else np.zeros((num_robots, laser.num_beams))
         self.distance = np.zeros(num_robots)
         self.compass = np.zeros((num_robots, 2))
-        self._scale = np.ones(num_robots)
-        # Wave numbers east and north, and phase, of the waves of each robot's compass field.
-        waves = FIELD_WAVES if noise.compass_field_deg > 0 else 0
-        self._field = np.zeros((num_robots, waves, 3))
-        self._field_amplitude = math.radians(noise.compass_field_deg) * math.sqrt(2 / FIELD_WAVES)
-        self._white = math.radians(noise.compass_white_deg)
-        self._drifts = noise.distance_drift > 0 or self._white > 0
-        self._normals = np.zeros((num_robots, 2))
+        self.errors = MeterErrors(
+            scale=np.ones(num_robots),
+            drift=noise.distance_drift,
+            white=math.radians(noise.compass_white_deg),
+            field=np.zeros((num_robots, FIELD_WAVES if noise.compass_field_deg > 0 else 0, 3)),
+            field_amplitude=math.radians(noise.compass_field_deg) * math.sqrt(2 / FIELD_WAVES),
+            normals=np.zeros((num_robots, 2)),
+        )
+        self._drifts = noise.distance_drift > 0 or noise.compass_white_deg > 0
         drawn = 0 if noise.laser_is_exact else laser.num_beams
         # Single precision, as the observations are: it is drawn in half the time.
         self._beam_uniforms = np.zeros((num_robots, drawn), np.float32)
@@ -82,9 +110,9 @@ class Sensors:
         """Draw a robot's errors for an episode; its distance meter starts at 0."""
         self.distance[row] = 0.0
         if self.noise.distance_scale > 0:
-            self._scale[row] = 1.0 + self.noise.distance_scale * rng.standard_normal()
-        if self._field.shape[1]:
-            field = self._field[row]
+            self.errors.scale[row] = 1.0 + self.noise.distance_scale * rng.standard_normal()
+        if self.errors.field.shape[1]:
+            field = self.errors.field[row]
             field[:, :2] = rng.standard_normal((FIELD_WAVES, 2)) / self.noise.compass_field_length
             field[:, 2] = rng.uniform(0, 2 * math.pi, FIELD_WAVES)
 
@@ -100,18 +128,7 @@ class Sensors:
         """
         noise = self.noise
         self._draw(rows, rngs)
-        read_rows(
-            rows,
-            drive,
-            self._scale,
-            noise.distance_drift,
-            self._white,
-            self._field,
-            self._field_amplitude,
-            self._normals,
-            self.distance,
-            self.compass,
-        )
+        read_rows(rows, drive, self.errors, self.distance, self.compass)
         if noise.laser_is_exact:
             return
         disturb_rows(
@@ -130,12 +147,12 @@ class Sensors:
             return
         if all(FILLS):
             generators = [rngs[row].bit_generator.ctypes.bit_generator.value for row in rows.tolist()]
-            arrays = self._normals, self._beam_uniforms, self._beam_normals
+            arrays = self.errors.normals, self._beam_uniforms, self._beam_normals
             draw_rows(rows, np.array(generators, np.int64), FILLS, self._drifts, *arrays)
             return
         for row in rows:
             if self._drifts:
-                rngs[row].standard_normal(out=self._normals[row])
+                rngs[row].standard_normal(out=self.errors.normals[row])
             rngs[row].random(dtype=np.float32, out=self._beam_uniforms[row])
             rngs[row].standard_normal(dtype=np.float32, out=self._beam_normals[row])
 
@@ -147,9 +164,9 @@ class Sensors:
 
 @compiled
 def draw_rows(rows, generators, fills, drifts, normals, beam_uniforms, beam_normals):
-    """Fill the rows of the arrays with random numbers; the first one only where a meter or compass `drifts`.
+    """Fill rows of the arrays with random numbers; those of the first one only if a meter or compass `drifts`.
 
-    `generators` has the addresses of the robots' generators, one for each of `rows`.
+    `generators` has the addresses of the generators of the robots `rows`.
     """
     for i in range(rows.shape[0]):
         row, generator = rows[i], generators[i]
@@ -169,21 +186,22 @@ def field_at(waves, amplitude, x, y):
 
 
 @compiled
-def read_rows(rows, drive, scale, drift, white, field, field_amplitude, normals, distance, compass):
+def read_rows(rows, drive, errors, distance, compass):
     """Add the last step to the distance meters, and read the compasses, of the robots `rows`."""
     for row in rows:
         robot = drive[row]
-        distance[row] += robot.travel * scale[row] + drift * math.sqrt(abs(robot.travel)) * normals[row, 0]
-        deflection = field_at(field[row], field_amplitude, robot.x, robot.y)
-        shown = robot.angle + deflection + white * normals[row, 1]
+        drift = errors.drift * math.sqrt(abs(robot.travel)) * errors.normals[row, 0]
+        distance[row] += robot.travel * errors.scale[row] + drift
+        deflection = field_at(errors.field[row], errors.field_amplitude, robot.x, robot.y)
+        shown = robot.angle + deflection + errors.white * errors.normals[row, 1]
         compass[row, 0], compass[row, 1] = math.cos(shown), math.sin(shown)
 
 
 @compiled
 def disturb_rows(rows, true_ranges, uniforms, normals, range_max, terms, ranges):
-    """Write into `ranges` what the beam model makes of the true ranges of the robots `rows`.
+    """Write the ranges that the robots `rows` read, by the beam model, into `ranges`.
 
-    One uniform number decides both which of the terms a beam meets and, stretched, the range that it then reads.
+    One uniform number decides which term of the model applies to a beam and, scaled, which range it then reads.
 
     Parameters
     ----------
@@ -192,7 +210,7 @@ def disturb_rows(rows, true_ranges, uniforms, normals, range_max, terms, ranges)
     uniforms, normals : (N, num_beams) float32
     range_max : float
     terms : tuple of 5 floats
-        Of `NoiseConfig`: laser_sigma, laser_sigma_relative, laser_short, laser_max, laser_random.
+        laser_sigma, laser_sigma_relative, laser_short, laser_max and laser_random of `NoiseConfig`.
     ranges : (N, num_beams) float64
         Written to.
     """
