@@ -6,9 +6,9 @@ cycle if its lap is at least `min_length` long and has two points at least `min_
 no cycle: it is one with the outer wall, or with another such hole, wherever the robot is too wide to pass between them.
 
 A curve that winds around a hole winds around the whole hole of F that it lies in. So the perimeter of the convex hull
-of the latter bounds the lap from below, and the length of its ring from above. Only where these leave it open is the lap
-searched for: as the shortest path from (v, 0) to (v, 1) in the visibility graph of F whose nodes also count the signed
-crossings of a ray from the hole, which is the winding number once the path closes.
+of the latter bounds the lap from below, and the length of its ring from above. Only where these leave it open, the lap
+is searched for: as the shortest path from (v, 0) to (v, 1) in the visibility graph of F, with nodes that also count the
+signed crossings of a ray from the hole. Once the path closes, that count is its winding number.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from shapely.geometry import Point, Polygon
 from shapely.geometry.polygon import orient
 
 QUARTER_SEGMENTS = 4
-"""Chords in a quarter of the circle that the robot drives around a corner: 5 mm inside the arc for a radius of 0.25 m."""
+"""Chords per quarter of the arc that the robot drives around a corner, 5 mm inside it for a radius of 0.25 m."""
 
 MARGIN = 1e-6
 """Metres by which a line of sight may leave F by rounding."""
@@ -155,8 +155,8 @@ def _perimeters_with(points: np.ndarray, hull: np.ndarray) -> np.ndarray:
 def _visibility_graph(space: Polygon, hull: np.ndarray, limit: float) -> _Graph:
     """Return the graph of the straight pieces that a shortest curve around a hull can have.
 
-    It bends only at corners of obstacles, its pieces are tangents there, and the hull with any of its points added has a
-    perimeter that is no longer than the curve.
+    It bends only at corners of obstacles, its pieces are tangents there, and adding any of its points to the hull makes
+    the hull's perimeter no longer than the curve.
     """
     rings = [shapely.get_coordinates(ring)[:-1] for ring in (space.exterior, *space.interiors)]
     before, points, after = (np.concatenate([np.roll(ring, shift, axis=0) for ring in rings]) for shift in (1, 0, -1))
@@ -206,8 +206,8 @@ def _shortest_winding(graph: _Graph, anchors: np.ndarray, limit: float) -> np.nd
 
 
 def _crossings(graph: _Graph, anchors: np.ndarray, angle: float) -> np.ndarray:
-    """Return how each edge crosses a ray from each anchor, `(anchors, e)`: 1 counter-clockwise, -1 clockwise, else 0."""
-    along, across = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    """Return how edges cross a ray from each anchor, `(anchors, e)`: 1 counter-clockwise, -1 clockwise, else 0."""
+    across = np.array([-np.sin(angle), np.cos(angle)])
     tail, head = (graph.points[graph.edges[:, k]] - anchors[:, None] for k in (0, 1))
     up = (tail @ across < 0) & (head @ across >= 0)
     down = (tail @ across >= 0) & (head @ across < 0)

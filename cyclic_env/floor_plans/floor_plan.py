@@ -57,8 +57,10 @@ class FloorPlan:
         Centrelines of the corridors, if known, as polylines that meet or cross where corridors do.
     file : str
         The file that the plan was read from, if any; named in messages.
+    traced : bool
+        Whether the file is a map, which is traced again for a robot of another radius.
     robot_radius, leave_radius : float
-        Radius of the robot that the cycles are for, and the least extent of a lap, metres; see `cycles`.
+        Radius of the robot that the cycles (and the tracing) are for, and the least extent of a lap, metres.
 
     Raises
     ------
@@ -74,6 +76,7 @@ class FloorPlan:
     licence: str = ""
     centrelines: tuple[tuple[tuple[float, float], ...], ...] = field(default=())
     file: str = ""
+    traced: bool = False
     robot_radius: float = RobotConfig().radius
     leave_radius: float = ClosureConfig().leave_radius
 

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely import Polygon, box
 
+from cyclic_env import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names
 from cyclic_env.floor_plans.cycles import find_cycles, shortest_lap
 from cyclic_env.floor_plans.floor_plan import MIN_CYCLE_LENGTH
@@ -159,3 +160,10 @@ def test_shipped_and_generated_cycles_are_the_holes_with_long_rings(name: str) -
     plan = load_floor_plan(name)
     rings = sorted((ring.length for ring in plan.free_space.interiors if ring.length >= MIN_CYCLE_LENGTH), reverse=True)
     assert [hole.exterior.length for hole in plan.cycles] == rings
+
+
+def test_the_cycles_of_an_environment_are_those_that_its_robot_can_drive_around() -> None:
+    plan = hall(box(0.6, 20, 20, 40), box(30, 10, 40, 20))
+    for radius, leave_radius, cycles in ((0.25, 10.0, 2), (0.35, 10.0, 1), (0.25, 20.0, 1), (0.35, 20.0, 0)):
+        env = CyclicLoopEnv(plan, robot={"radius": radius}, closure={"leave_radius": leave_radius})
+        assert env.reset(seed=0)[1]["cycles_total"] == cycles

@@ -279,12 +279,6 @@ def test_a_line_that_ends_where_it_begins_is_a_loop() -> None:
     assert (polygon.bounds, polygon.area) == ((-1.0, -1.0, 21.0, 21.0), 22.0**2 - 18.0**2)
 
 
-@pytest.mark.parametrize(("side", "cycles"), [(9.9, 0), (10.0, 1)])
-def test_a_hole_is_a_cycle_from_forty_metres(side: float, cycles: int) -> None:
-    hole = [(20, 20), (20 + side, 20), (20 + side, 20 + side), (20, 20 + side)]
-    assert square_plan([hole]).cycles_total == cycles
-
-
 def test_an_anchor_lies_in_the_hole_of_its_cycle() -> None:
     plan = load_floor_plan("office")
     assert plan.cycles[0].contains(shapely.Point(plan.cycle_anchors[0]))
@@ -345,23 +339,6 @@ def test_a_dead_end_too_narrow_is_refused() -> None:
     plan = FloorPlan("p", polygon_from_corridors([(2.0, [(0, 0), (20, 0)]), (0.4, [(20, 0), (40, 0)])]), (5, 0, 0))
     with pytest.raises(FloorPlanError, match=r"too narrow .* can't reach"):
         plan.reachable(0.25)
-
-
-def test_a_lap_too_narrow_is_refused() -> None:
-    hole = [(0.3, 5), (50, 5), (50, 50), (0.3, 50)]
-    with pytest.raises(FloorPlanError, match=r"too narrow .* around the cycle of 189 m alone; widen it near \(0\."):
-        square_plan([hole]).reachable(0.25)
-
-
-def test_two_cycles_that_share_one_lap_are_refused() -> None:
-    holes = [[(5, 5), (30, 5), (30, 55), (5, 55)], [(30.4, 5), (55, 5), (55, 55), (30.4, 55)]]
-    with pytest.raises(FloorPlanError, match=r"too narrow .* alone; widen it near \(30\.2, 30\.0\)"):
-        square_plan(holes).reachable(0.25)
-
-
-def test_a_hole_that_touches_the_outer_wall_is_refused() -> None:
-    with pytest.raises(FloorPlanError, match=r"too narrow .* drive around the cycle"):
-        square_plan([[(0, 30), (20, 20), (20, 40)]]).reachable(0.25)
 
 
 def test_a_robot_that_fits_nowhere_is_told_so() -> None:

@@ -224,7 +224,9 @@ def test_a_spoilt_plan_is_taken_or_refused_by_a_floor_plan_error(data: object) -
 
 def test_the_buildings_of_a_split_are_drawn_when_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[str] = []
-    monkeypatch.setattr("cyclic_env.floor_plans.library.building_from_name", lambda name: drawn.append(name))
+    monkeypatch.setattr(
+        "cyclic_env.floor_plans.library.building_from_name", lambda name: drawn.append(name) or square_plan()
+    )
     pool = load_floor_plans(["ring", "generated:train"])
     assert (len(pool), list(pool.loaded), drawn) == (257, [0], [])
     assert pool.names[:2] == ["ring", "generated:train,index=0"]
