@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from cyclic_env.atomic_write import write_text_atomically
 from cyclic_env.config import RobotConfig
@@ -21,6 +20,7 @@ from cyclic_env.floor_plans.yaml_io import (
     as_number,
     as_start,
     as_text,
+    dump_yaml,
     name_of,
     parse_yaml,
     read_yaml,
@@ -56,6 +56,8 @@ def read_floor_plan(path: str | Path, robot_radius: float = RobotConfig().radius
         if traced:
             plan = trace_floor_plan(occupancy_grid_from_mapping(data, path), robot_radius=robot_radius).plan
         else:
+            if isinstance(data, Mapping) and "resolution" in data:
+                raise FloorPlanError("image: is missing; a map has the keys image, resolution and origin.")
             plan = floor_plan_from_mapping(data, default_name=name_of(path))
         return replace(plan, file=str(path), traced=traced, robot_radius=robot_radius)
     except FloorPlanError as error:
@@ -101,7 +103,7 @@ def floor_plan_to_text(plan: FloorPlan, *, digits: int | None = None) -> str:
     }
     # PyYAML reads unescaped line separators of Unicode as blanks.
     readable = all(text.isprintable() for text in texts.values())
-    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=readable)
+    return dump_yaml(data, allow_unicode=readable)
 
 
 def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPlan:
@@ -113,7 +115,7 @@ def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPl
         Naming the key that is missing, unknown or malformed.
     """
     if not isinstance(data, Mapping):
-        got = "nothing" if data is None else type(data).__name__
+        got = "an empty file" if data is None else type(data).__name__
         raise FloorPlanError(f"a floor plan is a mapping with some of the keys {', '.join(KEYS)}; got {got}.")
     for key in data:
         if key not in KEYS:

@@ -225,7 +225,7 @@ def test_text_and_heading_of_a_written_plan_read_back_the_same(title: str, headi
 
 
 @pytest.mark.parametrize(
-    "title", ["Z\u00fcrich", "next\x85line", "a\u2028b\u2029c", "two\nlines", "\ufeff", "yes", "3", ": #"]
+    "title", ["Z\u00fcrich", "next\x85line", "a\u2028b\u2029c", "two\nlines", "\ufeff", "yes", "3", "1e3", ": #"]
 )
 def test_an_awkward_title_reads_back_the_same(title: str, tmp_path: Path) -> None:
     write_floor_plan(FloorPlan("square", Polygon(SQUARE), (1, 1, 0), title), tmp_path / "plan.yaml")
