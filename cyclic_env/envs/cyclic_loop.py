@@ -31,7 +31,8 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     """A robot explores a building full of loops, and must say when it is back at a place that it knows, and which.
 
     The robot has two wheels, a laser, a distance meter and a compass. Corridors close on themselves: a *cycle*
-    is a block of the building that the robot can drive around. At every step the robot may claim to be back where
+    is a block of the building that the robot can drive around, in a lap of at least 40 m with two points at least 10 m
+    apart (`cyclic_env.floor_plans.cycles`). At every step the robot may claim to be back where
     it was some steps ago. The claim is judged against the truth, and closes a cycle when the loop that it
     completes goes around the building in a way that none before did. An episode succeeds when the building is
     seen and all of its cycles are closed.

@@ -36,6 +36,9 @@ RESOLUTION = 1e-6
 COORDINATE_MAX = 1e5
 """Greatest coordinate, metres: at 100 km a float64 still resolves far less than a nanometre."""
 
+SMALLER_ROBOT = "give a smaller robot, such as robot={'radius': 0.2}"
+"""The cure that errors name where the robot is too large."""
+
 Pose = tuple[float, float, float]
 
 
@@ -183,21 +186,23 @@ class FloorPlan:
         what = f"{self._label}: start ({x:g}, {y:g})"
         parts = [part for part in shapely.get_parts(self.free_space.buffer(-radius)) if not part.is_empty]
         if not parts:
-            raise FloorPlanError(f"{self._label}: a robot of radius {radius:g} m fits nowhere; are the units metres?")
+            raise FloorPlanError(
+                f"{self._label}: a robot of radius {radius:g} m fits nowhere. If the units are metres, {SMALLER_ROBOT}."
+            )
         home = next((part for part in parts if part.covers(point)), None)
         if home is None:
             clearance = self.free_space.boundary.distance(point)
             free = min((nearest_points(part, point)[0] for part in parts), key=point.distance)
             raise FloorPlanError(
                 f"{what} is {clearance:.2f} m from a wall, but the robot's radius is {radius:g} m; "
-                f"move it off the wall, for example to ({free.x:.1f}, {free.y:.1f})."
+                f"move it off the wall, for example to ({free.x:.1f}, {free.y:.1f}), or {SMALLER_ROBOT}."
             )
         largest = max(parts, key=lambda part: part.area)
         if home is not largest:
             inside = largest.representative_point()
             raise FloorPlanError(
                 f"{what} lies in a pocket of {home.area:.1f} m2 that a robot of radius {radius:g} m can't leave; "
-                f"start elsewhere, for example at ({inside.x:.1f}, {inside.y:.1f})."
+                f"start elsewhere, for example at ({inside.x:.1f}, {inside.y:.1f}), or {SMALLER_ROBOT}."
             )
         self._check_passable(home, radius)
         return home
@@ -215,7 +220,8 @@ class FloorPlan:
             inside = worst.representative_point()
             raise FloorPlanError(
                 f"{self._label}: a corridor is too narrow for a robot of radius {radius:g} m: it can't reach "
-                f"{worst.area:.1f} m2 around ({inside.x:.1f}, {inside.y:.1f}); widen the way there or wall it off."
+                f"{worst.area:.1f} m2 around ({inside.x:.1f}, {inside.y:.1f}); widen the way there, wall it off, as "
+                f"an import for this radius does, or {SMALLER_ROBOT}."
             )
 
     def closed_tour(self) -> float:

@@ -79,7 +79,9 @@ def test_a_plan_of_the_paper_and_floor_in_grey_are_remarked_upon(
     grey[:, 230:][grey[:, 230:] == 254] = 190
     Image.fromarray(np.where(grey == 205, 128, grey)).save(ros_map.with_suffix(".pgm"))
     assert import_map.main([str(ros_map)]) == 0
-    assert "m2 of light grey are unknown by free_thresh" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "m2 of light grey are unknown by free_thresh" in said
+    assert "no cycle was found" in said
 
 
 def test_a_picture_needs_a_resolution(ros_map: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -33,7 +33,7 @@ NEAR = 2.5
 """A wall this close to the end of what was seen bounds it. Unknown space is more than twice as wide; thinner grey is
 the edge of a line."""
 
-FITS_NOWHERE = "the robot fits nowhere in the map's free space; is the resolution right?"
+FITS_NOWHERE = "the robot fits nowhere in the map's free space; is the resolution right, or its radius too large?"
 
 CONNECTED_8 = np.ones((3, 3), dtype=int)
 

@@ -14,8 +14,10 @@ from hypothesis import strategies as st
 from scipy import ndimage
 from shapely import Point
 
+from cyclic_env import CyclicLoopEnv
 from cyclic_env.errors import FloorPlanError
-from cyclic_env.floor_plans import OccupancyGrid, read_floor_plan, trace_floor_plan, write_floor_plan
+from cyclic_env.floor_plans import OccupancyGrid, load_floor_plan, read_floor_plan, trace_floor_plan, write_floor_plan
+from cyclic_env.floor_plans.occupancy.dropped import CURES, dropped_remark
 from cyclic_env.floor_plans.occupancy.morphology import dilated, grow_back
 from tests.floor_plans.occupancy.drawing import (
     RESOLUTION,
@@ -357,6 +359,38 @@ def test_an_environment_drives_in_a_map(tmp_path: Path) -> None:
     assert info["path_length_m"] > 3
     assert observation["laser"].max() > 2
     env.close()
+
+
+def test_a_map_is_traced_for_the_environments_robot(tmp_path: Path) -> None:
+    cells = floor(20, 16)
+    box(cells, 3, 3, 14, 10)
+    box(cells, 4, 4, 5, 8, value=0)
+    box(cells, 3, 6, 1, 0.65, value=0)  # a door for the robot of 0.25 m
+    path = write_map(tmp_path, image_of(cells), origin=[-1.0, -1.0, 0.0])
+    for radius, inside in ((0.25, True), (0.35, False)):
+        for map_name in (path, [load_floor_plan(path), "ring"]):
+            env = CyclicLoopEnv(map_name, robot={"radius": radius})
+            plan = env.floor_plans[0]
+            assert (plan.robot_radius, holds(plan, 6, 8)) == (radius, inside)
+            assert env.floor_plans[0] is plan
+
+
+def test_what_was_dropped_is_told_with_a_cure() -> None:
+    cells = np.pad(loop_with_a_gap(0), ((0, 0), (0, 400)), constant_values=-1)
+    walled(cells, 4, 3.9, 10, 10)  # a room without a door
+    walled(cells, 20, 4, 10, 10)
+    box(cells, 25, 1.95, 0.4, 2.1, value=0)  # a room with a door that is too narrow
+    box(cells, 39.9, 10, 1.9, 0.8, value=0)  # a window, behind which somebody saw a yard
+    box(cells, 41.5, 5, 12, 10, value=0)
+    dropped = trace_floor_plan(grid_of(cells)).dropped
+    assert [place.reason for place in dropped] == ["glimpse", "narrow", "apart"]
+    assert [place.area for place in dropped] == pytest.approx([120, 100, 100], rel=0.02)
+    x, y = dropped[0].position
+    assert (41 < x < 54, 4 < y < 15) == (True, True)
+    remark = dropped_remark(dropped, 236.0)
+    assert "58% of it" in remark
+    assert all(cure in remark for cure in CURES.values())
+    assert dropped_remark(dropped, 1e4) == ""
 
 
 @pytest.mark.parametrize("option", ["robot_radius", "speck_area", "gap", "nook_area", "tolerance"])
