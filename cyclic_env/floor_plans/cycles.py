@@ -140,7 +140,7 @@ def _extent(points: np.ndarray) -> float:
 
 def _hull_points(polygon: Polygon) -> np.ndarray:
     """Return the corners of the convex hull, counter-clockwise."""
-    return shapely.get_coordinates(orient(polygon.convex_hull, 1.0))[:-1]
+    return shapely.get_coordinates(orient(Polygon(shapely.get_coordinates(polygon.convex_hull)), 1.0))[:-1]
 
 
 def _perimeters_with(points: np.ndarray, hull: np.ndarray) -> np.ndarray:
@@ -178,15 +178,16 @@ def _shortest_winding(graph: _Graph, anchors: np.ndarray, limit: float) -> np.nd
     from scipy.sparse import coo_array  # takes a tenth of a second that most plans don't need
     from scipy.sparse.csgraph import dijkstra
 
+    count = len(graph.points)
     crossings = min((_crossings(graph, anchors, angle) for angle in RAY_DIRECTIONS), key=lambda c: np.sum(c[0] != 0))
     shape = (len(WINDINGS),) * len(anchors)
+    size = count * len(WINDINGS) ** len(anchors)
     states = np.array(list(np.ndindex(shape)))
     ends = states + crossings.T[:, None]
     edge, state = np.nonzero(((ends >= 0) & (ends < len(WINDINGS))).all(axis=2))
-    count = len(graph.points)
     begin = state * count + graph.edges[edge, 0]
     end = np.ravel_multi_index(tuple(ends[edge, state].T), shape) * count + graph.edges[edge, 1]
-    ways = coo_array((graph.lengths[edge], (begin, end)), (len(states) * count,) * 2).tocsr()
+    ways = coo_array((graph.lengths[edge], (begin, end)), (size, size)).tocsr()
     zero = np.full(len(anchors), -WINDINGS[0])
     once = np.ravel_multi_index(tuple(zero + (np.arange(len(anchors)) == 0)), shape)
     sources = np.unique(graph.edges[crossings[0] > 0, 0])

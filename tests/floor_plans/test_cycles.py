@@ -22,7 +22,7 @@ from cyclic_env.floor_plans.generator.names import split_names
 RADIUS = 0.25
 
 
-def hall(*holes: Polygon, size: float = 60.0) -> FloorPlan:
+def hall(*holes: shapely.Geometry, size: float = 60.0) -> FloorPlan:
     free = box(0, 0, size, size).difference(shapely.union_all(holes))
     assert isinstance(free, Polygon)
     return FloorPlan("hall", free, (1.0, 1.0, 0.0))

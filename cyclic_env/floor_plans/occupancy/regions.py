@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from itertools import combinations
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -256,7 +256,8 @@ def _joining(places: np.ndarray, pairs: np.ndarray, kept: np.ndarray, through: n
     for place, stretch in np.unique(np.stack([places[contact], stretches[contact]], axis=1), axis=0).tolist():
         graph.add_edges_from([(place, -stretch), (-stretch, "kept")])
     joining = np.zeros(len(kept), bool)
-    for block in nx.biconnected_components(graph):
+    blocks: Any = nx.biconnected_components(graph)
+    for block in blocks:
         if "kept" in block and len(block) > 2:
             joining[[node for node in block if node != "kept" and node > 0]] = True
     return joining

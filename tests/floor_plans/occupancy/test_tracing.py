@@ -208,8 +208,8 @@ def track(origin: tuple[float, float]) -> OccupancyGrid:
 
 
 def test_a_race_track_is_imported_without_its_infield_where_the_start_is_on_the_track() -> None:
-    for options in ({"start": (0.0, 0.0, 0.0)}, {}):
-        plan = trace_floor_plan(track((6.5, 20.0)), **options).plan
+    for start in ((0.0, 0.0, 0.0), None):
+        plan = trace_floor_plan(track((6.5, 20.0)), start=start).plan
         assert plan.cycles_total == 1
         assert plan.free_area == pytest.approx(math.pi / 1.6 * (25**2 - 22**2), rel=0.1)
     assert trace_floor_plan(track((30.0, 20.0))).plan.cycles_total == 0  # the infield, where the origin is
