@@ -84,8 +84,8 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     ``collisions`` (contacts begun), ``path_length_m``, and the true ``x``, ``y`` and ``heading``; and ``reward_terms``,
     a dict of floats. `cyclic_env.task.loop_closure` defines revisits, claims and cycles.
 
-    **Start**: at rest, at the plan's own start, or at the one given by ``reset(options={"start": (x, y, heading)})``,
-    or at a random one with ``random_start=True``.
+    **Start**: at rest, at the start of the plan or of ``reset(options={"start": (x, y, heading)})``, or at a random one
+    with ``random_start=True``.
 
     **Episode end**: terminated when 99 % of the cells have been seen and all cycles are closed (``is_success``), or at
     the first contact with ``terminate_on_collision=True``; truncated after `step_budget` steps.
