@@ -19,8 +19,9 @@ from agents.scripted import (
     ToAndFroAgent,
     WallFollowingAgent,
 )
-from cyclic_env.config import ActionType, check_choice
+from cyclic_env.config import ActionType
 from cyclic_env.evaluation.rollout import Policy
+from cyclic_env.validation import check_choice
 
 CLAIMS = "+claims"
 """Ending of the names of agents that claim in every step to be back at the start."""

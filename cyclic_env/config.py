@@ -8,79 +8,17 @@ environment spec holds after a trip through JSON).
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from numbers import Integral, Real
-from typing import Any, Literal, TypeGuard, TypeVar
+from typing import Any, Literal, TypeVar
 
-import numpy as np
-
-from cyclic_env.errors import ConfigError, CyclicLoopError, short_repr, unknown_name
+from cyclic_env.errors import ConfigError
+from cyclic_env.validation import check_choice, check_field, check_integer, check_number, unknown_name
 
 ActionType = Literal["wheels", "twist", "discrete"]
 ACTION_TYPES: tuple[ActionType, ...] = ("wheels", "twist", "discrete")
 
 T = TypeVar("T")
-
-
-def _check(owner: object, condition: bool, field: str, expected: str) -> None:
-    if not condition:
-        got = short_repr(getattr(owner, field))
-        raise ConfigError(f"{type(owner).__name__}.{field} is {got}; expected {expected}.")
-
-
-def _check_number(owner: object, field: str, low: float, high: float = math.inf, *, open_low: bool = False) -> None:
-    value = getattr(owner, field)
-    try:
-        number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
-    except OverflowError:
-        number = math.nan
-    inside = math.isfinite(number) and (low < number if open_low else low <= number) and number <= high
-    bound = f"{'more than' if open_low else 'at least'} {low:g}" + (f", at most {high:g}" if high < math.inf else "")
-    _check(owner, inside, field, f"a finite number, {bound}")
-    object.__setattr__(owner, field, number)  # for the kernels: no fraction, nothing in single precision
-
-
-def _check_integer(owner: object, field: str, low: int, high: int) -> None:
-    value = getattr(owner, field)
-    _check(owner, is_integer(value) and low <= value <= high, field, f"a whole number from {low} to {high}")
-    object.__setattr__(owner, field, int(value))
-
-
-def is_integer(value: object) -> TypeGuard[int]:
-    """Tell whether the value is a whole number, of Python or NumPy; True and False are not."""
-    return isinstance(value, Integral) and not isinstance(value, bool)
-
-
-def check_choice(kind: str, name: T, known: Collection[T]) -> T:
-    """Return the name of a `kind` of thing.
-
-    Raises
-    ------
-    ConfigError
-        If it is not `known`; the message has the nearest.
-    """
-    if not isinstance(name, str) or name not in known:
-        raise ConfigError(unknown_name(kind, name, map(str, known)))
-    return name
-
-
-def as_array(value: Any, what: str, expected: str, error: type[CyclicLoopError]) -> np.ndarray:
-    """Return `value` as an array of real numbers of any shape; the message says `what` it is and what is `expected`.
-
-    Raises
-    ------
-    error
-        If it is none: complex, text, times, ragged, or with objects such as whole numbers beyond 64 bits.
-    """
-    try:
-        array = np.asarray(value)
-        if array.dtype.kind not in "biuf":
-            raise TypeError(f"its type is {array.dtype}")
-    except Exception as problem:  # other libraries' arrays raise what they like
-        reason = " ".join(str(problem).split())
-        raise error(f"{what} is not an array of numbers ({reason}); expected {expected}.") from problem
-    return array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,11 +39,11 @@ class RobotConfig:
 
     def __post_init__(self) -> None:
         for field in ("radius", "axle_track", "wheel_speed_max", "mass", "dt"):
-            _check_number(self, field, 1e-3, 1e3)
-        _check_number(self, "wheel_time_constant", 0.0)
-        _check_integer(self, "substeps", 1, 1000)
+            check_number(self, field, 1e-3, 1e3)
+        check_number(self, "wheel_time_constant", 0.0)
+        check_integer(self, "substeps", 1, 1000)
         advance = self.wheel_speed_max * self.dt / self.substeps
-        _check(
+        check_field(
             self,
             advance <= self.radius / 2,
             "substeps",
@@ -126,8 +64,8 @@ class LaserConfig:
     range_max: float = 12.0
 
     def __post_init__(self) -> None:
-        _check_integer(self, "num_beams", 4, 7200)
-        _check_number(self, "range_max", 0.0, 1000.0, open_low=True)
+        check_integer(self, "num_beams", 4, 7200)
+        check_number(self, "range_max", 0.0, 1000.0, open_low=True)
 
     @property
     def beam_spacing(self) -> float:
@@ -164,11 +102,11 @@ class NoiseConfig:
 
     def __post_init__(self) -> None:
         for field in ("distance_drift", "compass_white_deg", "compass_field_deg", "laser_sigma"):
-            _check_number(self, field, 0.0, 1e3)
+            check_number(self, field, 0.0, 1e3)
         for field in ("distance_scale", "laser_sigma_relative", "laser_short", "laser_max", "laser_random"):
-            _check_number(self, field, 0.0, 1.0)
-        _check_number(self, "compass_field_length", 1e-3)
-        _check(
+            check_number(self, field, 0.0, 1.0)
+        check_number(self, "compass_field_length", 1e-3)
+        check_field(
             self,
             self.laser_short + self.laser_max + self.laser_random <= 1.0,
             "laser_random",
@@ -234,11 +172,11 @@ class ClosureConfig:
     """Path that must pass since the last judged claim before another is judged."""
 
     def __post_init__(self) -> None:
-        _check_number(self, "return_radius", 0.1)
-        _check_number(self, "gap", 0.0, open_low=True)
+        check_number(self, "return_radius", 0.1)
+        check_number(self, "gap", 0.0, open_low=True)
         for field in ("event_gap", "event_length_min", "claim_spacing"):
-            _check_number(self, field, 0.0)
-        _check_number(self, "leave_radius", self.return_radius, open_low=True)
+            check_number(self, field, 0.0)
+        check_number(self, "leave_radius", self.return_radius, open_low=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -252,15 +190,15 @@ class CoverageConfig:
     """Share of the cells that must be seen for success."""
 
     def __post_init__(self) -> None:
-        _check_number(self, "cell_size", 0.05)
-        _check_number(self, "scan_spacing", 0.0)
-        _check(
+        check_number(self, "cell_size", 0.05)
+        check_number(self, "scan_spacing", 0.0)
+        check_field(
             self,
             self.scan_spacing == 0 or self.scan_spacing >= 1e-3,
             "scan_spacing",
             "0 (every step) or at least 0.001",
         )
-        _check_number(self, "complete", 0.0, 1.0, open_low=True)
+        check_number(self, "complete", 0.0, 1.0, open_low=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -280,7 +218,7 @@ class RewardConfig:
 
     def __post_init__(self) -> None:
         for field in fields(self):
-            _check_number(self, field.name, -1e6, 1e6)
+            check_number(self, field.name, -1e6, 1e6)
 
 
 def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:

@@ -24,7 +24,7 @@ import numpy as np
 from cyclic_env import CyclicLoopError
 from cyclic_env.atomic_write import atomic_write, check_outputs
 from cyclic_env.console import say
-from cyclic_env.errors import ConfigError, short_repr
+from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import (
     FloorPlan,
     OccupancyGrid,
@@ -39,6 +39,7 @@ from cyclic_env.floor_plans import (
 from cyclic_env.floor_plans.occupancy.grid import IMAGE_SUFFIXES, UNKNOWN
 from cyclic_env.floor_plans.yaml_io import name_of, read_yaml
 from cyclic_env.rendering.colors import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
+from cyclic_env.validation import short_repr
 
 EXAMPLES = """examples:
   python scripts/import_map.py willow.yaml --out my_plan.yaml --figure my_plan.png

@@ -16,8 +16,8 @@ from collections.abc import Sequence
 
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopError, Recorder, map_names
 from cyclic_env.console import say
-from cyclic_env.errors import short_repr
 from cyclic_env.evaluation.rollout import format_rows, score_rows
+from cyclic_env.validation import short_repr
 from scripts.game.game import SHOWS, Play
 
 EPILOG = """keys: arrows or WASD drive, with Shift slowly; Space claims to be back at the ringed place of the own way,

@@ -203,8 +203,8 @@ class Run:
     def recording(self) -> Recording:
         """Return the recording, with the explorer's corrected track: its places as they are after all corrections."""
         assert self.memory is not None
-        places, start = self.memory.places, self.env.trajectory()[0, :2]
-        corrected = np.column_stack([places.step, places.pose[:, :2] + start, places.pose[:, 2]])
+        keyframes, start = self.memory.keyframes, self.env.trajectory()[0, :2]
+        corrected = np.column_stack([keyframes.step, keyframes.pose[:, :2] + start, keyframes.pose[:, 2]])
         return self.recorder.recording({"corrected": corrected})
 
     def metrics(self) -> dict[str, Any]:
@@ -223,9 +223,9 @@ class Run:
             "stopped_at": self.stopped_at,
             "path_over_tour": None if math.isnan(tour) else self.info["path_length_m"] / tour,
             "groups": len(self.memory.groups),
-            "rows": self.memory.places.count,
+            "rows": self.memory.keyframes.count,
             "rows_compared": self.memory.detector.compared,
-            "open_areas": len(self.memory.areas.listed),
+            "open_areas": len(self.memory.frontiers.listed),
             **track_errors(self.recording()),
             "seconds_per_step_env": None if watched else mean(self.env_s),
             "seconds_per_step_agent": mean(self.agent_s),
@@ -261,7 +261,7 @@ def track_errors(recording: Recording) -> dict[str, float | None]:
 def export(run: Run, folder: Path) -> None:
     """Write the files of `EXPORTS` into a folder."""
     assert run.memory is not None
-    recording, track = run.recording(), run.memory.track
+    recording, tracker = run.recording(), run.memory.tracker
     corrected = recording.tracks["corrected"]
     write_recording(recording, folder / "episode.npz")
     write_tum(folder / "true.tum", recording.times, recording.poses)
@@ -270,9 +270,9 @@ def export(run: Run, folder: Path) -> None:
     write_g2o(
         folder / "pose_graph.g2o",
         corrected[:, 1:],
-        track.edges,
-        track.heading_information,
-        run.memory.places.compass,
+        tracker.edges,
+        tracker.heading_information,
+        run.memory.keyframes.compass,
     )
 
 
@@ -332,11 +332,11 @@ def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
         scores[-1] += f" ({metrics['path_over_tour']:.2f} tours)"
     scores.append(f"{metrics['noise']} sensors, {metrics['preset']}, {metrics['detector']}")
     figure, axes = plan_figure(plan, plan.title or plan.name, "   ".join(scores))
-    places = way[memory.places.step, :2]
+    rows = way[memory.keyframes.step, :2]
     draw_path(axes, way)
-    draw_groups(axes, [(group.name, group.direction, places[group.rows]) for group in memory.groups])
-    areas = memory.areas.listed
-    positions = np.array([places[area.place] + area.offset for area in areas]).reshape(-1, 2)
+    draw_groups(axes, [(group.name, group.direction, rows[group.rows]) for group in memory.groups])
+    areas = memory.frontiers.listed
+    positions = np.array([rows[area.keyframe] + area.offset for area in areas]).reshape(-1, 2)
     draw_open_areas(axes, positions, [area.number for area in areas], [area.state for area in areas])
     draw_claims(axes, way, run.env.claims())
     add_legend(axes)

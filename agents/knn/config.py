@@ -12,8 +12,8 @@ from typing import Any, Literal
 import numpy as np
 
 from agents.knn.similarity import MEASURES, measure_by_name
-from cyclic_env.config import check_choice, is_integer
-from cyclic_env.errors import ConfigError, short_repr
+from cyclic_env.errors import ConfigError
+from cyclic_env.validation import check_choice, is_integer, short_repr
 
 DETECTORS = ("both", "knn", "position")
 ORDERS = ("nearest", "first in first out", "last in first out")

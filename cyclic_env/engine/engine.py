@@ -28,13 +28,10 @@ from cyclic_env.config import (
     NoiseConfig,
     RewardConfig,
     RobotConfig,
-    as_array,
-    check_choice,
     from_mapping,
-    is_integer,
     noise_from_name,
 )
-from cyclic_env.errors import ActionError, ConfigError, FloorPlanError, UsageError, short_repr, unknown_name
+from cyclic_env.errors import ActionError, ConfigError, FloorPlanError, UsageError
 from cyclic_env.floor_plans import FloorPlan, MapName, PlanPool, load_floor_plans
 from cyclic_env.floor_plans.floor_plan import Pose
 from cyclic_env.jit import compile_notice, compiled
@@ -59,6 +56,7 @@ from cyclic_env.task.loop_closure import (
     settle_event,
 )
 from cyclic_env.task.rewards import REWARD_TERMS, reward_row, reward_weights
+from cyclic_env.validation import as_array, check_choice, is_integer, short_repr, unknown_name
 
 TWIST_OMEGA_MAX = 3.0
 """Turning rate of a full twist action, rad/s."""

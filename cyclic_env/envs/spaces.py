@@ -12,9 +12,10 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
 
-from cyclic_env.config import ActionType, LaserConfig, check_choice, is_integer
-from cyclic_env.errors import ConfigError, UsageError, short_repr, unknown_name
+from cyclic_env.config import ActionType, LaserConfig
+from cyclic_env.errors import ConfigError, UsageError
 from cyclic_env.simulation.sensors import DISTANCE_MAX
+from cyclic_env.validation import check_choice, is_integer, short_repr, unknown_name
 
 NUM_DRIVES = 5
 

@@ -10,7 +10,6 @@ from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from cyclic_env.config import as_array, check_choice, is_integer
 from cyclic_env.engine.engine import INFO, NUM_ROBOTS_MAX, Engine, Settings, engine_config
 from cyclic_env.envs.spaces import (
     RENDER_FPS,
@@ -25,9 +24,10 @@ from cyclic_env.envs.spaces import (
     snapshot,
     start_option,
 )
-from cyclic_env.errors import ConfigError, FloorPlanError, UsageError, short_repr
+from cyclic_env.errors import ConfigError, FloorPlanError, UsageError
 from cyclic_env.floor_plans import FloorPlan, MapName
 from cyclic_env.task.rewards import REWARD_TERMS
+from cyclic_env.validation import as_array, check_choice, is_integer, short_repr
 
 
 class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):

@@ -17,11 +17,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from scipy.special import stdtrit
 
-from cyclic_env.config import is_integer
 from cyclic_env.console import ProgressLine
 from cyclic_env.envs.vector import CyclicLoopVectorEnv
-from cyclic_env.errors import ConfigError, short_repr
+from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import PlanPool, load_floor_plans, pool_label
+from cyclic_env.validation import is_integer, short_repr
 
 METRICS = (
     "cycles_closed",

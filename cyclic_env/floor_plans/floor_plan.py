@@ -15,7 +15,8 @@ from shapely.geometry.polygon import orient
 from shapely.ops import nearest_points
 from shapely.validation import explain_validity
 
-from cyclic_env.errors import FloorPlanError, short_repr
+from cyclic_env.errors import FloorPlanError
+from cyclic_env.validation import short_repr
 
 MIN_CYCLE_LENGTH = 40.0
 """Length in metres from which the ring of a hole is a cycle: twice the path that a closure needs, so that a

@@ -12,7 +12,7 @@ import numpy as np
 import yaml
 
 from cyclic_env.atomic_write import write_text_atomically
-from cyclic_env.errors import FloorPlanError, short_repr, unknown_name
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
 from cyclic_env.floor_plans.occupancy.grid import IMAGE_SUFFIXES, occupancy_grid_from_mapping
 from cyclic_env.floor_plans.occupancy.tracing import trace_floor_plan
@@ -25,6 +25,7 @@ from cyclic_env.floor_plans.yaml_io import (
     parse_yaml,
     read_yaml,
 )
+from cyclic_env.validation import short_repr, unknown_name
 
 KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "corridors", "rooms", "centrelines")
 

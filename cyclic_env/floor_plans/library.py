@@ -10,10 +10,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import overload
 
-from cyclic_env.errors import FloorPlanError, short_repr, unknown_name
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import FloorPlan
 from cyclic_env.floor_plans.generator.names import building_from_name, is_generated, split_names
 from cyclic_env.floor_plans.io import read_floor_plan
+from cyclic_env.validation import short_repr, unknown_name
 
 MapName = str | os.PathLike[str] | FloorPlan
 

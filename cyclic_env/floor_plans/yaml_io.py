@@ -9,8 +9,9 @@ from typing import Any
 
 import yaml
 
-from cyclic_env.errors import FloorPlanError, short_repr
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, Pose
+from cyclic_env.validation import short_repr
 
 
 class _Loader(yaml.SafeLoader):

@@ -22,15 +22,16 @@ from gymnasium.utils import seeding
 
 from cyclic_env import __version__
 from cyclic_env.atomic_write import atomic_write, check_writable
-from cyclic_env.config import NOISE_PRESETS, NoiseConfig, as_array, from_mapping
+from cyclic_env.config import NOISE_PRESETS, NoiseConfig, from_mapping
 from cyclic_env.engine.engine import INFO
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.envs.spaces import checked_seed
-from cyclic_env.errors import ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError, short_repr
+from cyclic_env.errors import ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError
 from cyclic_env.floor_plans import FloorPlan, floor_plan_from_text, floor_plan_to_text, load_floor_plan, map_names
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX
 from cyclic_env.task.loop_closure import CLAIM
 from cyclic_env.trajectory.io import dead_reckon
+from cyclic_env.validation import as_array, short_repr
 
 LAYOUT = 1
 """Version of the file's layout; files of others are refused."""

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import shapely
 
-from cyclic_env.errors import ConfigError, unknown_name
+from cyclic_env.errors import ConfigError
 from cyclic_env.rendering.colors import AMBER, BEAM, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SEEN, WRONG
 from cyclic_env.rendering.primitives import (
     LABEL_SIZE,
@@ -38,6 +38,7 @@ from cyclic_env.rendering.primitives import (
     write,
 )
 from cyclic_env.rendering.scene import MARGIN, SCORE_LINE, Scene, canvas_size, draw_building, scene_of
+from cyclic_env.validation import unknown_name
 
 if TYPE_CHECKING:
     from cyclic_env.engine.engine import Engine

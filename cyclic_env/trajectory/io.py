@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from cyclic_env.atomic_write import write_text_atomically
-from cyclic_env.config import as_array
 from cyclic_env.errors import ConfigError
+from cyclic_env.validation import as_array
 
 Edge = tuple[int, int, np.ndarray, np.ndarray]
 """Two poses by their numbers i and j, the pose of j in the frame of i `(3,)`, and its information `(3, 3)`."""

@@ -12,10 +12,10 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 
-from cyclic_env.config import check_choice
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
-from cyclic_env.errors import ConfigError, short_repr
+from cyclic_env.errors import ConfigError
 from cyclic_env.trajectory.io import dead_reckon
+from cyclic_env.validation import check_choice, short_repr
 
 Show = Literal["robot", "truth"]
 SHOWS: tuple[Show, ...] = ("robot", "truth")

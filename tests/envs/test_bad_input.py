@@ -19,7 +19,7 @@ import shapely
 
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, CyclicLoopVectorEnv, FloorPlan
 from cyclic_env.config import LaserConfig, RobotConfig
-from cyclic_env.errors import short_repr
+from cyclic_env.validation import short_repr
 
 BAD_SETTINGS: list[tuple[dict[str, Any], str]] = [
     ({"map_name": "kilian_court"}, "Did you mean 'killian_court'"),

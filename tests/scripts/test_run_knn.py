@@ -59,7 +59,7 @@ def test_metrics_are_those_of_the_same_run_by_hand(metrics: dict[str, Any]) -> N
     assert metrics["path_over_tour"] == info["path_length_m"] / env.floor_plan.closed_tour()
     assert metrics["groups"] == len(state[0].groups)
     assert metrics["rows_compared"] == state[0].detector.compared
-    assert metrics["open_areas"] == len(state[0].areas.listed)
+    assert metrics["open_areas"] == len(state[0].frontiers.listed)
     settings = ("noise", "preset", "detector", "measure", "seed", "random_start")
     assert [metrics[name] for name in settings] == ["ideal", "extended", "both", "cosine", 0, False]
     for name in ("env", "agent", "agent_median"):
@@ -161,7 +161,7 @@ def test_an_explorer_with_nothing_left_to_explore_stands_for_the_rest_of_the_epi
         action, state = predict(self, *arguments, **named)
         if state[0].steps >= 10:
             state[0].done = True
-            state[0].pilot.drop()
+            state[0].planner.clear_goal()
         return action, state
 
     monkeypatch.setattr(KnnExplorer, "predict", content)

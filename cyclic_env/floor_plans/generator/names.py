@@ -7,10 +7,11 @@ from collections.abc import Sequence
 from dataclasses import fields
 from typing import Any
 
-from cyclic_env.errors import FloorPlanError, short_repr, unknown_name
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import FloorPlan
 from cyclic_env.floor_plans.generator.builder import generate
 from cyclic_env.floor_plans.generator.spec import HAND_SEED_MAX, PREFIX, SPLITS, BuildingSpec, split_spec
+from cyclic_env.validation import short_repr, unknown_name
 
 
 def is_generated(name: str) -> bool:

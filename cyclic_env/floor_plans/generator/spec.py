@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cyclic_env.errors import FloorPlanError, short_repr
+from cyclic_env.errors import FloorPlanError
+from cyclic_env.validation import short_repr
 
 PREFIX = "generated"
 """A map's name that begins with this and a colon is a building to be generated."""

@@ -15,9 +15,10 @@ import yaml
 from scipy import ndimage
 
 from cyclic_env.atomic_write import atomic_write, write_text_atomically
-from cyclic_env.errors import FloorPlanError, short_repr, unknown_name
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, Pose
 from cyclic_env.floor_plans.yaml_io import as_list, as_number, as_start, as_text, name_of, read_yaml
+from cyclic_env.validation import short_repr, unknown_name
 
 if TYPE_CHECKING:
     from PIL.Image import Image

@@ -20,10 +20,11 @@ from contourpy import FillType, contour_generator
 from scipy import ndimage
 from shapely.geometry import Point, Polygon
 
-from cyclic_env.errors import FloorPlanError, short_repr
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, Pose
 from cyclic_env.floor_plans.occupancy.grid import FREE_BELOW, UNKNOWN, OccupancyGrid
 from cyclic_env.jit import compile_notice, compiled
+from cyclic_env.validation import short_repr
 
 ENCLOSED_SHARE = 0.1
 """A region that the image's edge does not cut is preferred to a larger one that it does cut, such as the paper around
