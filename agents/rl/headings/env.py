@@ -10,16 +10,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from agents.rl.headings.perception import (
-    CANDIDATES,
-    HEADINGS,
-    HOLD,
-    PER_CANDIDATE,
-    PER_HEADING,
-    PER_ROBOT,
-    Perception,
-    Rules,
-)
+from agents.rl.headings.memory import CANDIDATES, HEADINGS, HOLD, PER_CANDIDATE, PER_HEADING, PER_ROBOT, Rules
+from agents.rl.headings.perception import Perception
 from cyclic_env import ConfigError, CyclicLoopVectorEnv, UsageError
 
 FEATURES = ("headings", "candidates", "robot")
@@ -64,9 +56,7 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
             raise ConfigError("the task headings resets in the SAME_STEP, or not (DISABLED).")
         self.env = CyclicLoopVectorEnv(num_envs, map_name, autoreset_mode=AutoresetMode.DISABLED, **settings)
         config = self.env.engine.config
-        self.perception = Perception(
-            num_envs, Rules(laser=config.laser, robot=config.robot, closure=config.closure)
-        )
+        self.perception = Perception(num_envs, Rules(laser=config.laser, robot=config.robot, closure=config.closure))
         self.metadata = {**self.env.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = self.env.render_mode
         self.num_envs = num_envs
@@ -100,9 +90,7 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
         """Return which choices each row has, `(N, HEADINGS + 1 + CANDIDATES)` bool: headings first, then claims."""
         return self.perception.action_masks()
 
-    def step(
-        self, actions: Any
-    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Carry out a decision of each row.
 
         Raises
@@ -181,10 +169,73 @@ def _merged(infos: dict[str, Any], first: dict[str, Any], ended: np.ndarray) -> 
 class CyclicLoopHeadingsEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     """`CyclicLoopEnv` with decisions in place of wheel speeds, and features of a map in place of scans.
 
+    The robot draws a map of half-metre cells from its own observations, holds its track straight by matching scans,
+    and looks for old keyframes (a scan for each metre) that it may be back at. What is observed is described here;
+    nothing of the truth is used.
+
+    ## Action space
+
+    `MultiDiscrete([16, 4])`, held for five steps of the environment, a second:
+
+    | number | choices | meaning |
+    |---|---|---|
+    | 0 | 16 | heading to drive to, in sixteenths of a turn counter-clockwise from the robot's, round what is near |
+    | 1 | 4 | 0: no claim; c = 1, 2, 3: "I am back at candidate c", which is claimed in the first of the five steps |
+
+    A claim of a candidate that there isn't, or less than `claim_spacing` (2 m) after the last one, is no claim.
+    `action_masks()` returns which choices there are, `(16 + 4,)` bool, as sb3-contrib's `MaskablePPO` asks for them.
+
+    ## Observation space
+
+    `Dict` of float32 boxes; all numbers are about 1 or less.
+
+    `headings` `(16, 6)`, of each heading:
+
+    | number | feature |
+    |---|---|
+    | 0 | how far the way is clear, as a share of the laser's reach |
+    | 1 | exp(-d / 20 m), where d is the way that leads off in this heading to the nearest undriven cell, which is in
+      sight of no place within 2.5 m where the robot has been; 0.5 more for the nearest of all headings |
+    | 2 | likewise of the nearest undriven cell at the edge of what was seen |
+    | 3, 4 | how much of both lies that way: log(1 + sum of exp(-d / 40 m)) / 5 and / 3 |
+    | 5 | how lately it was driven, 2 m from here: exp(-decisions since / 60) |
+
+    `candidates` `(3, 10)`, of each place that the robot may be back at, the nearest first:
+
+    | number | feature |
+    |---|---|
+    | 0 | 1 if there is such a candidate; all others are 0 if not |
+    | 1 | distance from the track, / 4 m |
+    | 2 | inlier ratio of the match of the two scans |
+    | 3 | by how much that exceeds the mean of matches of neighbouring keyframes, x 4 |
+    | 4 | share of the beams that are inliers |
+    | 5 | share of the beams that speak for the position in the direction that is known least, x 10 |
+    | 6 | distance of the two places as matched, / 3 m (a claim is right within 3 m) |
+    | 7 | by how much the match would move the track, / 4 m |
+    | 8 | tanh(path since then / 200 m) |
+    | 9 | 1 if that place is in sight |
+
+    `robot` `(10,)`:
+
+    | number | feature |
+    |---|---|
+    | 0, 1 | exp(-d / 20 m) of the nearest cell of all that is undriven, and at the edge |
+    | 2, 3 | 1 if there is one |
+    | 4 | 1 if a claim can be judged |
+    | 5 | path since the last claim, / 20 m, at most 1 |
+    | 6 | metres driven in the last decision, as a share of what is possible |
+    | 7, 8 | cosine and sine of the last heading that was chosen, from the robot's |
+    | 9 | mean inlier ratio of neighbouring keyframes |
+
+    ## Rewards, start, end, infos
+
+    As those of `CyclicLoopEnv`: the rewards of the five steps are added up, and the info is that of the last one, with
+    the added `reward_terms` and `steps`. When the episode ends within a decision, the decision ends with it.
+
     Parameters
     ----------
     map_name and all others
-        As for `CyclicLoopEnv`, but for the action type.
+        As for `CyclicLoopEnv`, but for the action type. Plans may be up to 256 m wide.
     """
 
     def __init__(self, map_name: Any = "killian_court", *, render_mode: str | None = None, **settings: Any) -> None:

@@ -12,7 +12,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import nn
 
 from agents.rl.headings.env import FEATURES
-from agents.rl.headings.perception import CANDIDATES, HEADINGS, PER_CANDIDATE, PER_HEADING, PER_ROBOT
+from agents.rl.headings.memory import CANDIDATES, HEADINGS, PER_CANDIDATE, PER_HEADING, PER_ROBOT
 
 SIZES = (HEADINGS * PER_HEADING, CANDIDATES * PER_CANDIDATE, PER_ROBOT)
 
@@ -81,7 +81,9 @@ class SharedNetworks(nn.Module):
 
 
 def _score(inputs: int, hidden: int) -> nn.Sequential:
-    return nn.Sequential(nn.Linear(inputs, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(), nn.Linear(hidden, 1))
+    return nn.Sequential(
+        nn.Linear(inputs, hidden), nn.Tanh(), nn.Linear(hidden, hidden), nn.Tanh(), nn.Linear(hidden, 1)
+    )
 
 
 class SharedPolicy(MaskableActorCriticPolicy):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.slam.scan_matching import TOLERANCE, agreement, align, wall_lines
+from agents.slam.scan_matching import TOLERANCE, align, fit_wall_lines, inlier_ratio
 from agents.slam.tracker import LAG, TURN_ERROR
 from cyclic_env.jit import compiled
 
@@ -25,13 +25,6 @@ RATIO_MIN, INLIERS_MIN, ERROR_MAX = 0.75, 0.22, 1.0
 """A match with the last keyframe counts from this inlier ratio and share of all beams on, up to so many metres."""
 MEMORY = 30
 """Keyframes over which the mean inlier ratio and the compass's variance are taken."""
-MENDS_BELOW, MENDS_INLIERS, MENDS_EIGENVALUE = 0.05, 0.28, 0.022
-"""A match with an old keyframe mends the track if its inlier ratio is less than the mean by at most so much, and from
-this share of all beams on, that agree and that speak for each direction."""
-AT_KEYFRAME = 2.5
-"""Metres from the old keyframe within which the robot must be, then."""
-SAME_SHIFT = 0.8
-"""Metres between the corrections that two matches in a row call for, if both are right."""
 REDRAW = 0.5
 """Metres by which mends have moved the track before the map is drawn anew."""
 
@@ -149,7 +142,7 @@ def dead_reckon(robot, distance, east, north):
 
 @compiled
 def match_keyframe(keyframes, i, k, scratch, range_max):
-    """Match the scan in `scratch` with keyframe k of robot i, from the prior there; the pose is in the keyframe's frame.
+    """Match the scan in `scratch` with keyframe k of robot i, from the prior there, in the keyframe's frame.
 
     Returns
     -------
@@ -167,12 +160,12 @@ def match_keyframe(keyframes, i, k, scratch, range_max):
             scratch.lines[b, c] = keyframes.lines[i, k, b, c]
     pose, hessian = scratch.pose, scratch.hessian
     align(scratch.reference, scratch.lines, scratch.endpoints, range_max, scratch.prior, scratch.spread, pose, hessian)
-    there, seen_there = agreement(scratch.reference, scratch.scan, range_max, pose, TOLERANCE)
+    there, seen_there = inlier_ratio(scratch.reference, scratch.scan, range_max, pose, TOLERANCE)
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     scratch.inverse[0] = -cos * pose[0] - sin * pose[1]
     scratch.inverse[1] = sin * pose[0] - cos * pose[1]
     scratch.inverse[2] = -pose[2]
-    back, seen_back = agreement(scratch.scan, scratch.reference, range_max, scratch.inverse, TOLERANCE)
+    back, seen_back = inlier_ratio(scratch.scan, scratch.reference, range_max, scratch.inverse, TOLERANCE)
     middle = 0.5 * (hessian[0, 0] + hessian[1, 1])
     eigenvalue = middle - math.sqrt(0.25 * (hessian[0, 0] - hessian[1, 1]) ** 2 + hessian[0, 1] ** 2)
     return min(there, back), min(seen_there, seen_back) / n, eigenvalue / n
@@ -223,7 +216,7 @@ def add_keyframe(robot, keyframes, i, scratch, range_max):
     keyframes.compass[i, k] = robot.compass
     keyframes.step[i, k] = robot.steps
     keyframes.decision[i, k] = robot.decisions
-    wall_lines(scratch.endpoints, range_max, scratch.lines)
+    fit_wall_lines(scratch.endpoints, range_max, scratch.lines)
     for b in range(scratch.scan.shape[0]):
         keyframes.scan[i, k, b] = scratch.scan[b]
         for c in range(3):
