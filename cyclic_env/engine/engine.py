@@ -203,7 +203,7 @@ def engine_config(
         step_budget=None if step_budget is None else int(step_budget),
         robot=from_mapping(RobotConfig, robot),
         laser=from_mapping(LaserConfig, laser),
-        noise=noise_from_name(noise),
+        noise=tuple(noise_from_name(one) for one in (noise if isinstance(noise, list | tuple) else (noise,))),  # pyright: ignore[reportArgumentType]
         closure=from_mapping(ClosureConfig, closure),
         coverage=from_mapping(CoverageConfig, coverage),
         reward=from_mapping(RewardConfig, reward),

@@ -48,7 +48,7 @@ def check_same(errors: np.ndarray, distribution: Any) -> None:
 
 def driven(noise: NoiseConfig, travels: np.ndarray, robots: int = RNGS) -> np.ndarray:
     """Return the readings `(steps, robots)` of distance meters on the same way, given by its signed steps."""
-    sensors = Sensors(noise, LASER, robots)
+    sensors = Sensors([noise], LASER, robots)
     rngs = [np.random.default_rng(seed) for seed in range(robots)]
     for row, rng in enumerate(rngs):
         sensors.reset_row(row, rng)
@@ -117,10 +117,10 @@ def test_the_distance_error_does_not_depend_on_the_length_of_a_step() -> None:
 
 def fields(places: np.ndarray, noise: NoiseConfig, robots: int = RNGS) -> np.ndarray:
     """Return the fields `(robots, places)`, degrees, that sensors have drawn for an episode."""
-    sensors = Sensors(noise, LASER, robots)
+    sensors = Sensors([noise], LASER, robots)
     for row in range(robots):
         sensors.reset_row(row, np.random.default_rng(row))
-    amplitude = sensors._field_amplitude
+    amplitude = sensors._terms["field_amplitude"][0]
     values = [[field_at(waves, amplitude, x, y) for x, y in places] for waves in sensors._field]
     return np.degrees(values)
 
@@ -213,7 +213,7 @@ def test_the_compass_field_is_fixed_to_the_building_and_new_in_the_next_episode(
 
 def readings_of(noise: NoiseConfig, true: np.ndarray, robots: int) -> np.ndarray:
     """Return readings `(robots, beams)` of the same true ranges `(beams,)`."""
-    sensors = Sensors(noise, LaserConfig(num_beams=len(true)), robots)
+    sensors = Sensors([noise], LaserConfig(num_beams=len(true)), robots)
     sensors.true_ranges[:] = true
     rngs = [np.random.default_rng(seed) for seed in range(robots)]
     for row, rng in enumerate(rngs):

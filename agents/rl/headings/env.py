@@ -12,7 +12,8 @@ from gymnasium.vector.utils import batch_space
 
 from agents.rl.headings.memory import CANDIDATES, HEADINGS, HOLD, PER_CANDIDATE, PER_HEADING, PER_ROBOT, Rules
 from agents.rl.headings.perception import Perception
-from cyclic_env import ConfigError, CyclicLoopVectorEnv, UsageError
+from cyclic_env import ActionError, ConfigError, CyclicLoopVectorEnv, UsageError
+from cyclic_env.validation import as_array, short_repr
 
 FEATURES = ("headings", "candidates", "robot")
 FEATURE_MAX = 4.0
@@ -90,27 +91,38 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
         """Return which choices each row has, `(N, HEADINGS + 1 + CANDIDATES)` bool: headings first, then claims."""
         return self.perception.action_masks()
 
-    def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: Any, *, active: np.ndarray | None = None
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Carry out a decision of each row.
+
+        Parameters
+        ----------
+        actions : (N, 2) int array
+        active : (N,) bool, optional
+            As for `CyclicLoopVectorEnv.step`.
 
         Raises
         ------
+        ActionError
+            If the actions are none of the action space.
         UsageError
-            If an episode has ended and was not reset.
+            If the episode of a row has ended and was not reset.
         """
-        if self._ended.any():
+        active = np.ones(self.num_envs, np.bool_) if active is None else active.copy()
+        if self._ended[active].any():
             raise UsageError("an episode has ended: call reset() first.")
-        actions = np.asarray(actions, np.int64).reshape(self.num_envs, 2)
-        every = np.arange(self.num_envs)
-        self.perception.decide(actions[:, 0], every)
+        decided = np.flatnonzero(active)
+        actions = self._checked(actions)[decided]
+        self.perception.decide(actions[:, 0], decided)
         self._commands[:, 2] = -1.0
-        claiming, claimed = self.perception.claim(actions[:, 1], every)
+        claiming, claimed = self.perception.claim(actions[:, 1], decided)
         self._commands[claiming, 2] = 1.0
         self._commands[claiming, 3] = 2 * claimed / (self.perception.memory.robots["steps"][claiming] + 1) - 1
         rewards, steps = np.zeros(self.num_envs), np.zeros(self.num_envs, np.int64)
         terms: dict[str, np.ndarray] = {}
         terminated, truncated = np.zeros((2, self.num_envs), np.bool_)
-        active, infos = np.ones(self.num_envs, np.bool_), {}
+        infos: dict[str, Any] = {}
         for _ in range(HOLD):
             rows = np.flatnonzero(active)
             self.perception.steer(rows, self._commands)
@@ -123,16 +135,26 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
                 if not name.startswith("_"):
                     terms.setdefault(name, np.zeros(self.num_envs))[rows] += values[rows]
             terminated[rows], truncated[rows] = terminates[rows], truncates[rows]
-            active &= ~(terminated | truncated)
+            active[rows] = ~(terminated | truncated)[rows]
             if not active.any():
                 break
         infos["reward_terms"] |= terms
         infos["steps"], infos["_steps"] = steps, np.ones(self.num_envs, np.bool_)
-        self.perception.observe(every)
-        self._ended = terminated | truncated
+        self.perception.observe(decided)
+        self._ended[decided] = (terminated | truncated)[decided]
         if self._ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             infos = self._reset_ended(infos)
         return self.observation(), rewards, terminated, truncated, infos
+
+    def _checked(self, actions: Any) -> np.ndarray:
+        actions = as_array(actions, "the action", "one of the action space", ActionError)
+        if actions.shape != (self.num_envs, 2) or actions.dtype.kind not in "iu":
+            raise ActionError(
+                f"the actions are {actions.dtype} of shape {actions.shape}; expected integers ({self.num_envs}, 2)."
+            )
+        if ((actions < 0) | (actions >= self.single_action_space.nvec)).any():
+            raise ActionError(f"an action is beyond {self.single_action_space}; got {short_repr(actions.tolist())}.")
+        return actions.astype(np.int64)
 
     def _reset_ended(self, infos: dict[str, Any]) -> dict[str, Any]:
         """Begin new episodes where they have ended; return the infos, with the last ones under ``final_info``."""
