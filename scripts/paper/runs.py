@@ -18,7 +18,7 @@ from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.simulation.wall_index import build_wall_index
 from cyclic_env.task.loop_closure import line_of_sight
-from cyclic_env.trajectory.io import ate
+from cyclic_env.trajectory.metrics import ate
 
 RETURNS, ELSEWHERE, NEITHER = 1, 0, -1
 """Of a row and an earlier one: a claim would be right, false, or ignored for want of gap or leave (near, in sight)."""
