@@ -160,7 +160,7 @@ def _record(env: CyclicLoopEnv, memory: Memory, metrics: dict[str, Any], heading
         group=keyframes.group.copy(),
         features=keyframes.features.astype(np.int16),
         beams=np.rint(keyframes.scan / BEAM_ROUNDING).astype(np.uint8),
-        truth=closure_truth(env.floor_plan, way, keyframes.step, env.engine.config.closure),
+        truth=closure_truth(env.floor_plan, way, keyframes.step, env.config.closure),
         areas=np.array(areas).reshape(-1, 2),
     )
 
@@ -237,7 +237,7 @@ def drive_again(record: RunRecord, settings: RunSettings, laps: int, *, noise: s
     step = np.concatenate([record.step, np.arange(first, len(way))])
     truth = np.zeros((0, 0), np.int8)
     if laps == 2:
-        truth = closure_truth(env.floor_plan, way, step, env.engine.config.closure)
+        truth = closure_truth(env.floor_plan, way, step, env.config.closure)
     env.close()
     groups = int(record.group[-1]) + 1
     return replace(

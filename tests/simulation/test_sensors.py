@@ -15,6 +15,7 @@ import shapely
 from scipy.stats import kstest, norm
 
 from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv
+from cyclic_env import CyclicLoopVectorEnv
 from cyclic_env.config import NOISE_PRESETS, LaserConfig, NoiseConfig
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan
 from cyclic_env.simulation.physics import DRIVE
@@ -331,3 +332,27 @@ def test_numbers_are_those_that_the_generators_own_methods_draw(noise: Any, monk
         runs[-1]["next"] = [rng.bit_generator.state for rng in env.np_random]
     assert all(FILLS)
     assert runs[0] == runs[1]
+
+
+# Several presets.
+
+
+def test_of_several_presets_every_reset_draws_one_for_each_robot() -> None:
+    """Ideal sensors read the true ranges, poor ones do not; both come about as often."""
+    env = CyclicLoopVectorEnv(40, "ring", noise=["ideal", "poor"])
+    env.reset(seed=0)
+    exact = (env.engine.sensors.ranges == env.engine.sensors.true_ranges).all(axis=1)
+    assert 10 < exact.sum() < 30
+    env.reset()
+    assert (exact != (env.engine.sensors.ranges == env.engine.sensors.true_ranges).all(axis=1)).any()
+    env.close()
+
+
+def test_a_list_of_one_preset_is_that_preset_to_the_bit() -> None:
+    scans = []
+    for noise in ("typical", ["typical"]):
+        env = CyclicLoopVectorEnv(2, "ring", noise=noise)
+        env.reset(seed=3)
+        scans.append([env.step(np.full((2, 4), 0.5, np.float32))[0]["laser"] for _ in range(5)])
+        env.close()
+    np.testing.assert_array_equal(*scans)

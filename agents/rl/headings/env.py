@@ -56,7 +56,7 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
         if self.autoreset_mode == AutoresetMode.NEXT_STEP:
             raise ConfigError("the task headings resets in the SAME_STEP, or not (DISABLED).")
         self.env = CyclicLoopVectorEnv(num_envs, map_name, autoreset_mode=AutoresetMode.DISABLED, **settings)
-        config = self.env.engine.config
+        config = self.env.config
         self.perception = Perception(num_envs, Rules(laser=config.laser, robot=config.robot, closure=config.closure))
         self.metadata = {**self.env.metadata, "autoreset_mode": self.autoreset_mode}
         self.render_mode = self.env.render_mode

@@ -130,7 +130,7 @@ def test_any_laser_and_robot_will_do(settings: dict[str, Any]) -> None:
     for _ in range(30):
         features, *_, infos = env.step(Rule().predict(features)[0])
         assert env.observation_space.contains(features)
-    assert (infos["path_length_m"] > 0.5 * 30 * HOLD * env.env.engine.config.robot.advance_max).all()
+    assert (infos["path_length_m"] > 0.5 * 30 * HOLD * env.env.config.robot.advance_max).all()
     env.close()
 
 
