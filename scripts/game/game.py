@@ -12,7 +12,7 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 
-from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
+from cyclic_env import CyclicLoopEnv
 from cyclic_env.errors import ConfigError
 from cyclic_env.trajectory.dead_reckoning import dead_reckon
 from cyclic_env.validation import check_choice, short_repr
