@@ -277,8 +277,9 @@ class EnvConfig:
         check_bool(self, "terminate_on_collision")
         if self.step_budget is not None:
             check_integer(self, "step_budget", 1, STEP_BUDGET_MAX)
-        several = isinstance(self.noise, list | tuple)
-        noise = tuple(self.noise) if several else (self.noise,)
+        given: Any = self.noise
+        several = isinstance(given, list | tuple)
+        noise = tuple(given) if several else (given,)
         check_field(self, len(noise) > 0, "noise", "a noise preset, a NoiseConfig, or several")
         configs = [noise_from_name(one) for one in noise]
         noise = tuple(one if isinstance(one, str) else config for one, config in zip(noise, configs, strict=True))

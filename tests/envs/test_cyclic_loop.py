@@ -21,7 +21,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_array_equal
 
 import cyclic_env
-from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv
+from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv, UsageError
 from cyclic_env.config import ACTION_TYPES, NOISE_PRESETS, ActionType
 from cyclic_env.engine.building import INFO
 from cyclic_env.task.rewards import REWARD_TERMS

@@ -15,7 +15,6 @@ import shapely
 from scipy.stats import kstest, norm
 
 from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv
-from cyclic_env import CyclicLoopVectorEnv
 from cyclic_env.config import NOISE_PRESETS, LaserConfig, NoiseConfig
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan
 from cyclic_env.simulation.physics import DRIVE

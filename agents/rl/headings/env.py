@@ -17,6 +17,7 @@ from cyclic_env.validation import as_array, short_repr
 
 FEATURES = ("headings", "candidates", "robot")
 FEATURE_MAX = 4.0
+CHOICES = (HEADINGS, 1 + CANDIDATES)
 
 
 def observation_space() -> spaces.Dict:
@@ -27,7 +28,7 @@ def observation_space() -> spaces.Dict:
 
 def action_space() -> spaces.MultiDiscrete:
     """Return the action space of one robot."""
-    return spaces.MultiDiscrete([HEADINGS, 1 + CANDIDATES])
+    return spaces.MultiDiscrete(list(CHOICES))
 
 
 class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
@@ -152,7 +153,7 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
             raise ActionError(
                 f"the actions are {actions.dtype} of shape {actions.shape}; expected integers ({self.num_envs}, 2)."
             )
-        if ((actions < 0) | (actions >= self.single_action_space.nvec)).any():
+        if ((actions < 0) | (actions >= CHOICES)).any():
             raise ActionError(f"an action is beyond {self.single_action_space}; got {short_repr(actions.tolist())}.")
         return actions.astype(np.int64)
 
@@ -266,8 +267,8 @@ class CyclicLoopHeadingsEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         )
         self.render_mode = render_mode
         self.metadata = self.rows.env.metadata
-        self.observation_space = observation_space()
-        self.action_space = action_space()
+        self.observation_space = observation_space()  # pyright: ignore[reportAttributeAccessIssue]
+        self.action_space = action_space()  # pyright: ignore[reportAttributeAccessIssue]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None

@@ -43,6 +43,8 @@ class SharedNetworks(nn.Module):
         Width of those of the value, which sees all features at once.
     """
 
+    angles: torch.Tensor
+
     def __init__(self, hidden: int, value_hidden: int) -> None:
         super().__init__()
         self.latent_dim_pi, self.latent_dim_vf = HEADINGS + 1 + CANDIDATES, value_hidden
@@ -106,9 +108,11 @@ class SharedPolicy(MaskableActorCriticPolicy):
     def _build(self, lr_schedule: Any) -> None:
         super()._build(lr_schedule)
         self.action_net = nn.Identity()
-        for score in (self.mlp_extractor.heading, self.mlp_extractor.candidate):
+        networks: Any = self.mlp_extractor
+        for score in (networks.heading, networks.candidate):
             nn.init.orthogonal_(score[-1].weight, 0.01)
-        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
+        optimizer: Any = self.optimizer_class
+        self.optimizer = optimizer(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
     def _get_constructor_parameters(self) -> dict[str, Any]:
         return {**super()._get_constructor_parameters(), "hidden": self.hidden, "value_hidden": self.value_hidden}

@@ -97,9 +97,8 @@ def test_what_is_masked_is_no_claim() -> None:
     env = CyclicLoopHeadingsEnv("ring")
     env.reset(seed=0)
     assert not env.action_masks()[HEADINGS + 1 :].any()
-    for _ in range(5):
-        info = env.step([0, CANDIDATES])[-1]
-    assert info["claims"] == 0
+    claims = [env.step([0, CANDIDATES])[-1]["claims"] for _ in range(5)]
+    assert claims == [0] * 5
     env.close()
 
 
@@ -126,7 +125,7 @@ def test_the_hand_rule_goes_round_a_ring_and_closes_it() -> None:
 )
 def test_any_laser_and_robot_will_do(settings: dict[str, Any]) -> None:
     env = CyclicLoopHeadingsVectorEnv(2, "ring", noise="typical", **settings)
-    features, _ = env.reset(seed=0)
+    features, infos = env.reset(seed=0)
     for _ in range(30):
         features, *_, infos = env.step(Rule().predict(features)[0])
         assert env.observation_space.contains(features)

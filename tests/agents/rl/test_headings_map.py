@@ -94,7 +94,7 @@ def test_scan_matching_holds_the_track_where_the_compass_errs() -> None:
         laser = np.full((rows, 180), 0.1)
         blind.sense({"laser": laser, "distance": robots["distance"][:, None], "compass": compass}, every)
         blind.observe(every)
-    errors = [[rms_error(one, env, row) for row in every] for one in (env.perception, blind)]
+    errors = [[rms_error(one, env, row) for row in range(rows)] for one in (env.perception, blind)]
     assert np.mean(errors[0]) < 0.5 * np.mean(errors[1])
     env.close()
     blind.close()
