@@ -19,6 +19,21 @@ from cyclic_env.jit import call_c, compiled
 FIELD_WAVES = 64
 """Number of plane waves whose sum is the compass field; the more, the closer it is to a Gaussian field."""
 
+ERRORS = np.dtype(
+    [
+        ("scale", "f8"),  # of the distance meter: true metres are multiplied by it
+        ("drift", "f8"),  # of the distance meter, metres for a square root of a metre driven
+        ("white", "f8"),  # noise of the compass, radians
+        ("field_amplitude", "f8"),  # of each wave of the compass field, radians
+        ("laser_sigma", "f8"),
+        ("laser_sigma_relative", "f8"),
+        ("laser_short", "f8"),
+        ("laser_max", "f8"),
+        ("laser_random", "f8"),
+    ]
+)
+"""Errors of a robot's sensors in an episode; see `NoiseConfig`."""
+
 
 class Fills(NamedTuple):
     """Addresses of NumPy's C functions that fill arrays with random numbers; 0 where its library hides them.
@@ -43,65 +58,45 @@ def numpy_fills() -> Fills:
 FILLS = numpy_fills()
 
 
-class MeterErrors(NamedTuple):
-    """Errors of the distance meters and compasses of N robots, as the compiled code takes them.
-
-    Attributes
-    ----------
-    scale : (N,) float64
-        True metres are multiplied by it.
-    drift : float
-        Metres for a square root of a metre driven.
-    white : float
-        Of the compass, radians.
-    field : (N, waves, 3) float64
-        Wave numbers east and north, and phase, of the waves of each robot's compass field.
-    field_amplitude : float
-        Of each wave, radians.
-    normals : (N, 2) float64
-        The step's random numbers: of the meter and of the compass.
-    """
-
-    scale: np.ndarray
-    drift: float
-    white: float
-    field: np.ndarray
-    field_amplitude: float
-    normals: np.ndarray
-
-
 class Sensors:
     """The sensors of N robots: the errors drawn for their episodes, and their readings.
+
+    Parameters
+    ----------
+    noise : sequence of NoiseConfig
+        If there are several, a robot draws one at each reset.
+    laser : LaserConfig
+    num_robots : int
 
     Attributes
     ----------
     true_ranges : (N, num_beams) float64
         What the laser would read without errors, metres; filled by the engine.
     ranges : (N, num_beams) float64
-        What it reads, metres; the same array where the laser is exact.
+        What it reads, metres; the same array if the laser is exact.
     distance : (N,) float64
         Readings of the distance meters, metres.
     compass : (N, 2) float64
         Readings of the compasses: unit vectors, east and north.
+    errors : (N,) array of `ERRORS`
+    field : (N, waves, 3) float64
+        Wave numbers east and north, and phase, of the waves of each robot's compass field.
     """
 
-    def __init__(self, noise: NoiseConfig, laser: LaserConfig, num_robots: int) -> None:
-        self.noise = noise
+    def __init__(self, noise: Sequence[NoiseConfig], laser: LaserConfig, num_robots: int) -> None:
+        self.noise = tuple(noise)
         self.laser = laser
+        self._laser_is_exact = all(one.laser_is_exact for one in noise)
         self.true_ranges = np.zeros((num_robots, laser.num_beams))
-        self.ranges = self.true_ranges if noise.laser_is_exact else np.zeros((num_robots, laser.num_beams))
+        self.ranges = self.true_ranges if self._laser_is_exact else np.zeros((num_robots, laser.num_beams))
         self.distance = np.zeros(num_robots)
         self.compass = np.zeros((num_robots, 2))
-        self.errors = MeterErrors(
-            scale=np.ones(num_robots),
-            drift=noise.distance_drift,
-            white=math.radians(noise.compass_white_deg),
-            field=np.zeros((num_robots, FIELD_WAVES if noise.compass_field_deg > 0 else 0, 3)),
-            field_amplitude=math.radians(noise.compass_field_deg) * math.sqrt(2 / FIELD_WAVES),
-            normals=np.zeros((num_robots, 2)),
-        )
-        self._drifts = noise.distance_drift > 0 or noise.compass_white_deg > 0
-        drawn = 0 if noise.laser_is_exact else laser.num_beams
+        waves = FIELD_WAVES if any(one.compass_field_deg > 0 for one in noise) else 0
+        self.field = np.zeros((num_robots, waves, 3))
+        self.errors = np.zeros(num_robots, ERRORS)
+        self._drifts = any(one.distance_drift > 0 or one.compass_white_deg > 0 for one in noise)
+        self._normals = np.zeros((num_robots, 2))
+        drawn = 0 if self._laser_is_exact else laser.num_beams
         # Single precision, as the observations are: it is drawn in half the time.
         self._beam_uniforms = np.zeros((num_robots, drawn), np.float32)
         self._beam_normals = np.zeros((num_robots, drawn), np.float32)
@@ -109,11 +104,23 @@ class Sensors:
     def reset_row(self, row: int, rng: np.random.Generator) -> None:
         """Draw a robot's errors for an episode; its distance meter starts at 0."""
         self.distance[row] = 0.0
-        if self.noise.distance_scale > 0:
-            self.errors.scale[row] = 1.0 + self.noise.distance_scale * rng.standard_normal()
-        if self.errors.field.shape[1]:
-            field = self.errors.field[row]
-            field[:, :2] = rng.standard_normal((FIELD_WAVES, 2)) / self.noise.compass_field_length
+        noise = self.noise[int(rng.integers(len(self.noise))) if len(self.noise) > 1 else 0]
+        self.errors[row] = (
+            1.0,
+            noise.distance_drift,
+            math.radians(noise.compass_white_deg),
+            math.radians(noise.compass_field_deg) * math.sqrt(2 / FIELD_WAVES),
+            noise.laser_sigma,
+            noise.laser_sigma_relative,
+            noise.laser_short,
+            noise.laser_max,
+            noise.laser_random,
+        )
+        if noise.distance_scale > 0:
+            self.errors["scale"][row] += noise.distance_scale * rng.standard_normal()
+        if noise.compass_field_deg > 0:
+            field = self.field[row]
+            field[:, :2] = rng.standard_normal((FIELD_WAVES, 2)) / noise.compass_field_length
             field[:, 2] = rng.uniform(0, 2 * math.pi, FIELD_WAVES)
 
     def measure_rows(self, rows: np.ndarray, drive: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
@@ -126,39 +133,38 @@ class Sensors:
             With `x`, `y`, `angle`, and `travel`: the signed displacement along the heading in this step, metres.
         rngs : sequence of N Generators
         """
-        noise = self.noise
         self._draw(rows, rngs)
-        read_rows(rows, drive, self.errors, self.distance, self.compass)
-        if noise.laser_is_exact:
+        read_rows(rows, drive, self.errors, self.field, self._normals, self.distance, self.compass)
+        if self._laser_is_exact:
             return
         disturb_rows(
             rows,
             self.true_ranges,
+            self.errors,
             self._beam_uniforms,
             self._beam_normals,
             float(self.laser.range_max),
-            (noise.laser_sigma, noise.laser_sigma_relative, noise.laser_short, noise.laser_max, noise.laser_random),
             self.ranges,
         )
 
     def _draw(self, rows: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw the random numbers of a step, from each robot's own generator."""
-        if not self._drifts and self.noise.laser_is_exact:
+        if not self._drifts and self._laser_is_exact:
             return
         if all(FILLS):
             generators = [rngs[row].bit_generator.ctypes.bit_generator.value for row in rows.tolist()]
-            arrays = self.errors.normals, self._beam_uniforms, self._beam_normals
+            arrays = self._normals, self._beam_uniforms, self._beam_normals
             draw_rows(rows, np.array(generators, np.int64), FILLS, self._drifts, *arrays)
             return
         for row in rows:
             if self._drifts:
-                rngs[row].standard_normal(out=self.errors.normals[row])
+                rngs[row].standard_normal(out=self._normals[row])
             rngs[row].random(dtype=np.float32, out=self._beam_uniforms[row])
             rngs[row].standard_normal(dtype=np.float32, out=self._beam_normals[row])
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        if self.noise.laser_is_exact:
+        if self._laser_is_exact:
             self.ranges = self.true_ranges
 
 
@@ -186,19 +192,18 @@ def field_at(waves, amplitude, x, y):
 
 
 @compiled
-def read_rows(rows, drive, errors, distance, compass):
+def read_rows(rows, drive, errors, field, normals, distance, compass):
     """Add the last step to the distance meters, and read the compasses, of the robots `rows`."""
     for row in rows:
-        robot = drive[row]
-        drift = errors.drift * math.sqrt(abs(robot.travel)) * errors.normals[row, 0]
-        distance[row] += robot.travel * errors.scale[row] + drift
-        deflection = field_at(errors.field[row], errors.field_amplitude, robot.x, robot.y)
-        shown = robot.angle + deflection + errors.white * errors.normals[row, 1]
+        robot, noise = drive[row], errors[row]
+        distance[row] += robot.travel * noise.scale + noise.drift * math.sqrt(abs(robot.travel)) * normals[row, 0]
+        deflection = field_at(field[row], noise.field_amplitude, robot.x, robot.y)
+        shown = robot.angle + deflection + noise.white * normals[row, 1]
         compass[row, 0], compass[row, 1] = math.cos(shown), math.sin(shown)
 
 
 @compiled
-def disturb_rows(rows, true_ranges, uniforms, normals, range_max, terms, ranges):
+def disturb_rows(rows, true_ranges, errors, uniforms, normals, range_max, ranges):
     """Write the ranges that the robots `rows` read, by the beam model, into `ranges`.
 
     One uniform number decides which term of the model applies to a beam and, scaled, which range it then reads.
@@ -207,15 +212,16 @@ def disturb_rows(rows, true_ranges, uniforms, normals, range_max, terms, ranges)
     ----------
     rows : (n,) int64
     true_ranges : (N, num_beams) float64
+    errors : (N,) array of `ERRORS`
     uniforms, normals : (N, num_beams) float32
     range_max : float
-    terms : tuple of 5 floats
-        laser_sigma, laser_sigma_relative, laser_short, laser_max and laser_random of `NoiseConfig`.
     ranges : (N, num_beams) float64
         Written to.
     """
-    sigma, relative, short, maximum, random = terms
     for row in rows:
+        noise = errors[row]
+        sigma, relative = noise.laser_sigma, noise.laser_sigma_relative
+        short, maximum, random = noise.laser_short, noise.laser_max, noise.laser_random
         for beam in range(true_ranges.shape[1]):
             true, u = true_ranges[row, beam], float(uniforms[row, beam])
             if u < short:

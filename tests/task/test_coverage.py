@@ -93,7 +93,9 @@ def with_a_hidden_nook(side: float) -> FloorPlan:
     """Return a room of 20 m, and a square nook at the end of a bent slit that is too narrow for the robot."""
     slit = box(20, 10, 21, 10.2).union(box(20.8, 10, 21, 13))
     nook = box(21, 13 - 0.2, 21 + side, 13 - 0.2 + side)
-    return FloorPlan("nook", box(0, 0, 20, 20).union(slit).union(nook), (5.0, 5.0, 0.0))
+    space = box(0, 0, 20, 20).union(slit).union(nook)
+    assert isinstance(space, shapely.Polygon)
+    return FloorPlan("nook", space, (5.0, 5.0, 0.0))
 
 
 def test_cells_that_no_reachable_position_sees_lack_in_the_visible_share() -> None:
