@@ -32,16 +32,20 @@ if TYPE_CHECKING:
     from cyclic_env.errors import ActionError, ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError
     from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names, read_floor_plan, write_floor_plan
     from cyclic_env.recording.format import Recording, read_recording
+    from cyclic_env.recording.readers import read_robot_log
+    from cyclic_env.recording.recorded_run import RecordedRun
     from cyclic_env.recording.recorder import Recorder
     from cyclic_env.recording.replay import replay
+    from cyclic_env.recording.robot_log import RobotLog
 
 __version__ = "0.1.0"
 
 _MODULES = (
     *("config", "errors", "floor_plans", "envs.cyclic_loop", "envs.vector"),
     *("recording.format", "recording.recorder", "recording.replay"),
+    *("recording.robot_log", "recording.readers", "recording.recorded_run"),
 )
-"""Where the public names are, in an order in which nothing is loaded that the modules after it don't need."""
+"""Modules with public names, the quickest to load first."""
 
 __all__ = [
     "NOISE_PRESETS",
@@ -57,16 +61,19 @@ __all__ = [
     "FloorPlanError",
     "LaserConfig",
     "NoiseConfig",
+    "RecordedRun",
     "Recorder",
     "Recording",
     "RecordingError",
     "RewardConfig",
     "RobotConfig",
+    "RobotLog",
     "UsageError",
     "load_floor_plan",
     "map_names",
     "read_floor_plan",
     "read_recording",
+    "read_robot_log",
     "replay",
     "write_floor_plan",
 ]
