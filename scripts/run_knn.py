@@ -29,8 +29,9 @@ from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, __ve
 from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
 from cyclic_env.console import ProgressLine, say
 from cyclic_env.evaluation.rollout import format_rows, score_rows
-from cyclic_env.recording.recorder import write_recording
-from cyclic_env.trajectory.io import ate, write_g2o, write_tum
+from cyclic_env.recording.format import write_recording
+from cyclic_env.trajectory.io import write_g2o, write_tum
+from cyclic_env.trajectory.metrics import ate
 
 if TYPE_CHECKING:
     from cyclic_env.rendering.gif import GifWriter

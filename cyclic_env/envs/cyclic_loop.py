@@ -1,27 +1,27 @@
-"""`CyclicLoopEnv`: the environment for one robot, as Gymnasium knows it."""
+"""`CyclicLoopEnv`: the environment for one robot."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Unpack
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import gymnasium
 import numpy as np
 
-from cyclic_env.engine.engine import INFO, Engine, Settings, engine_config
-from cyclic_env.envs.spaces import (
+from cyclic_env.config import EnvConfig
+from cyclic_env.engine.building import INFO
+from cyclic_env.engine.engine import Engine
+from cyclic_env.envs.arguments import (
     RENDER_FPS,
     RENDER_MODES,
-    ExclusiveAccess,
-    action_space,
-    checked_render_mode,
-    checked_seed,
-    observation_space,
+    check_render_mode,
+    check_seed,
+    env_config,
     peek_rng,
-    restored,
-    snapshot,
     start_option,
 )
+from cyclic_env.envs.exclusive_access import ExclusiveAccess
+from cyclic_env.envs.spaces import action_space, observation_space
 from cyclic_env.errors import UsageError
 from cyclic_env.floor_plans import FloorPlan, MapName
 from cyclic_env.task.rewards import REWARD_TERMS
@@ -90,21 +90,22 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     Parameters
     ----------
-    map_name : str, path, FloorPlan, or a list of these
+    map_name : str, path, FloorPlan, or a list of these, optional
         A shipped plan (``cyclic_env.map_names()``), a YAML file, ours or that of a map of ROS, a generated building
         (``"generated:cycles=4,seed=7"``), or a plan itself. A list is a pool, and so is ``"generated:train"``: every
         reset draws one. Give names, and paths as text, where the environment's ``spec`` is to be written as JSON.
-    noise : str, NoiseConfig or mapping
-        Preset of the sensors' errors: ``"ideal"``, ``"calibrated"``, ``"typical"``, ``"poor"``; or your own.
-    action_type : {"wheels", "twist", "discrete"}
-    random_start : bool
-        Draw the start anywhere that the robot can reach.
-    terminate_on_collision : bool
-    step_budget : int, optional
-        By default three times the steps that it takes to drive through corridors 2 m wide with the plan's area.
-    robot, laser, closure, coverage, reward : settings or mapping, optional
-        See `cyclic_env.config`.
+    config : EnvConfig or mapping, optional
+        All settings at once.
     render_mode : {"human", "rgb_array"}, optional
+    **settings
+        Single fields of `cyclic_env.EnvConfig`, which lists them all, in place of the config's: ``noise="typical"``,
+        ``step_budget=2000``, ``laser={"num_beams": 90}``.
+
+    Attributes
+    ----------
+    config : EnvConfig
+    floor_plans : sequence of FloorPlan
+        The pool from which every reset draws a plan.
 
     Raises
     ------
@@ -127,17 +128,19 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     def __init__(
         self,
-        map_name: MapName | Sequence[MapName] = "killian_court",
+        map_name: MapName | Sequence[MapName] | None = None,
         *,
+        config: EnvConfig | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
-        **settings: Unpack[Settings],
+        **settings: Any,
     ) -> None:
-        self.engine = Engine(engine_config(map_name=map_name, **settings), num_robots=1)
-        self.action_space = action_space(self.engine.config.action_type)
-        self.observation_space = observation_space(self.engine.config.laser)
-        self.render_mode = checked_render_mode(render_mode)
+        self.config, self.floor_plans = env_config(map_name, config, settings)
+        self.engine = Engine(self.config, self.floor_plans, num_robots=1)
+        self.action_space = action_space(self.config.action_type)
+        self.observation_space = observation_space(self.config.laser)
+        self.render_mode = check_render_mode(render_mode)
         self._running = False
-        self._turn = ExclusiveAccess()
+        self._access = ExclusiveAccess()
         self._renderer: Any = None
 
     def reset(
@@ -155,12 +158,12 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         Raises
         ------
         ConfigError, FloorPlanError
-            If the seed or the start doesn't fit, or a plan that is new to the pool; the running episode goes on.
+            If the seed, the start, or the plan that the reset draws doesn't fit; the running episode goes on.
         """
-        with self._turn:
-            start, seed = start_option(options), checked_seed(seed)
+        with self._access:
+            start, seed = start_option(options), check_seed(seed)
             if start is not None or not self.engine.is_prepared:  # refuse before anything changes
-                self.engine.draw_place(peek_rng(self.np_random, seed), start)
+                self.engine.draw_start(peek_rng(self.np_random, seed), start)
             super().reset(seed=seed)
             self.engine.reset_row(0, self.np_random, start)
             self.engine.measure(np.zeros(1, np.int64), [self.np_random])
@@ -171,11 +174,9 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
         """Drive for 0.2 s, and make a claim or none."""
-        with self._turn:
+        with self._access:
             if not self._running:
-                raise UsageError(
-                    "step() needs a running episode: call reset() first, and again after an episode has ended."
-                )
+                raise UsageError("there is no running episode: call reset() first, and again after each episode.")
             self.engine.step([action], [self.np_random])
             reward, terminated, truncated, *_ = self.engine.outcome[0].item()
             self._running = not (terminated or truncated)
@@ -199,16 +200,17 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     @property
     def step_budget(self) -> int:
         """After how many steps the running episode is truncated."""
-        return self.engine.config.step_budget_of(self.floor_plan)
+        return self.engine.step_budget(0)
 
     def trajectory(self) -> np.ndarray:
-        """Return the true way since the reset, `(t + 1, 3)`: x, y and path length, metres."""
+        """Return the true path since the reset, `(t + 1, 3)`: x, y and path length, metres."""
         return self.engine.trajectory(0)
 
     def claims(self) -> np.ndarray:
         """Return the judged claims since the reset, in order: `(n,)` records of `cyclic_env.task.loop_closure.CLAIM`.
 
-        Their places are ``trajectory()[claims["step"]]`` and, but for a match of -1, ``trajectory()[claims["match"]]``.
+        They were made at ``trajectory()[claims["step"]]``, and named ``trajectory()[claims["match"]]`` unless the match
+        is -1.
         """
         return self.engine.claims(0)
 
@@ -233,19 +235,16 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             from cyclic_env.rendering.renderer import Renderer
 
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
-        return self._renderer.draw(self.engine, 0)
+        return self._renderer.draw(self)
 
     def close(self) -> None:
         """Close the window, if there is one, and end the threads."""
-        with self._turn:
+        with self._access:
             if self._renderer is not None:
                 self._renderer.close()
                 self._renderer = None
             self.engine.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        with self._turn:
-            return snapshot({**self.__dict__, "_renderer": None}, ("engine", "_np_random"))
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(restored(state))
+        with self._access:
+            return {**self.__dict__, "_renderer": None}

@@ -341,7 +341,7 @@ def evaluate(
         return CyclicLoopVectorEnv(rows, plans, noise=noise, autoreset_mode="SAME_STEP", **settings)
 
     env = vector_env(pool, seeds)  # of all plans, which are checked here
-    config = env.engine.config
+    config = env.config
     made_for = getattr(policy, "action_type", config.action_type)
     if made_for != config.action_type:
         raise ConfigError(

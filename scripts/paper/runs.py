@@ -18,7 +18,7 @@ from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.simulation.wall_index import build_wall_index
 from cyclic_env.task.loop_closure import line_of_sight
-from cyclic_env.trajectory.io import ate
+from cyclic_env.trajectory.metrics import ate
 
 RETURNS, ELSEWHERE, NEITHER = 1, 0, -1
 """Of a row and an earlier one: a claim would be right, false, or ignored for want of gap or leave (near, in sight)."""
@@ -160,7 +160,7 @@ def _record(env: CyclicLoopEnv, memory: Memory, metrics: dict[str, Any], heading
         group=keyframes.group.copy(),
         features=keyframes.features.astype(np.int16),
         beams=np.rint(keyframes.scan / BEAM_ROUNDING).astype(np.uint8),
-        truth=closure_truth(env.floor_plan, way, keyframes.step, env.engine.config.closure),
+        truth=closure_truth(env.floor_plan, way, keyframes.step, env.config.closure),
         areas=np.array(areas).reshape(-1, 2),
     )
 
@@ -237,7 +237,7 @@ def drive_again(record: RunRecord, settings: RunSettings, laps: int, *, noise: s
     step = np.concatenate([record.step, np.arange(first, len(way))])
     truth = np.zeros((0, 0), np.int8)
     if laps == 2:
-        truth = closure_truth(env.floor_plan, way, step, env.engine.config.closure)
+        truth = closure_truth(env.floor_plan, way, step, env.config.closure)
     env.close()
     groups = int(record.group[-1]) + 1
     return replace(

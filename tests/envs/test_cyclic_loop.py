@@ -23,8 +23,7 @@ from numpy.testing import assert_array_equal
 import cyclic_env
 from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv
 from cyclic_env.config import ACTION_TYPES, NOISE_PRESETS, ActionType
-from cyclic_env.engine import engine
-from cyclic_env.engine.engine import INFO
+from cyclic_env.engine.building import INFO
 from cyclic_env.task.rewards import REWARD_TERMS
 from tests.helpers import bumping_actions
 
@@ -325,29 +324,6 @@ def test_async_vector_env_works(context: str) -> None:
     assert observations["laser"].shape == (2, 180)
 
 
-def test_an_interrupted_step_asks_for_a_reset_and_harms_no_other_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    env = CyclicLoopVectorEnv(2, "ring", step_budget=20)
-    env.reset(seed=0)
-    actions = np.tile(np.array([1, 0.9, -1, 0]), (2, 1))
-    for _ in range(19):
-        env.step(actions)
-
-    def interrupt(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    with monkeypatch.context() as patch:
-        patch.setattr(env.engine.sensors, "measure_rows", interrupt)
-        with pytest.raises(KeyboardInterrupt):
-            env.step(actions)
-    with pytest.raises(cyclic_env.UsageError, match="interrupted"):
-        env.step(actions)
-    env.reset(seed=0, options={"reset_mask": np.array([True, False])})
-    with pytest.raises(cyclic_env.UsageError, match="interrupted"):
-        env.step(actions)
-    env.reset(seed=0, options={"reset_mask": np.array([False, True])})
-    env.step(actions)
-
-
 def test_a_forked_process_steps_an_env_that_has_threads() -> None:
     env = CyclicLoopVectorEnv(130, "ring")
     env.reset(seed=0)
@@ -444,13 +420,13 @@ def test_the_episode_truncates_at_the_step_budget() -> None:
 
 def test_a_pool_prepares_a_plan_when_a_row_first_draws_it(monkeypatch: pytest.MonkeyPatch) -> None:
     prepared: list[str] = []
-    build = engine.build_wall_index
+    reachable = cyclic_env.FloorPlan.reachable
 
-    def counted(plan: cyclic_env.FloorPlan, reach: float) -> Any:
+    def counted(plan: cyclic_env.FloorPlan, *arguments: Any) -> Any:
         prepared.append(plan.name)
-        return build(plan, reach)
+        return reachable(plan, *arguments)
 
-    monkeypatch.setattr(engine, "build_wall_index", counted)
+    monkeypatch.setattr(cyclic_env.FloorPlan, "reachable", counted)
     env = CyclicLoopVectorEnv(4, "generated:train")
     assert prepared == ["generated:train,index=0"]
     for seed in (0, 1, 0):
@@ -513,22 +489,9 @@ def test_an_autoreset_that_draws_a_plan_that_does_not_suit_leaves_the_env_usable
     actions = np.zeros((2, 4))
     env.step(actions)
     with monkeypatch.context() as patch:
-        patch.setattr(engine.Engine, "_reach", Mock(side_effect=cyclic_env.FloorPlanError("too narrow")))
+        patch.setattr(cyclic_env.FloorPlan, "reachable", Mock(side_effect=cyclic_env.FloorPlanError("too narrow")))
         with pytest.raises(cyclic_env.FloorPlanError, match="too narrow"):
             env.step(actions)
     env.step(actions)
     env.reset(seed=[seed, seed])
     env.step(actions)
-
-
-@pytest.mark.parametrize("face", [CyclicLoopEnv, CyclicLoopVectorEnv])
-def test_a_pickle_is_of_one_moment_whoever_steps_meanwhile(face: Any) -> None:
-    env = face(map_name="ring", noise="typical")
-    env.reset(seed=0)
-    action = np.broadcast_to(np.array([0.3, -0.2, -1, 0], np.float32), env.action_space.shape)
-    env.step(action)
-    state = env.__getstate__()
-    expected = env.step(action)  # as another thread would, while what `__getstate__` gave is being written
-    twin = face.__new__(face)
-    twin.__setstate__(pickle.loads(pickle.dumps(state)))
-    assert_same(twin.step(action), expected)

@@ -14,7 +14,9 @@ import pytest
 from agents.slam.pose_graph import optimize
 from agents.slam.se2 import compose, relative
 from cyclic_env import ConfigError
-from cyclic_env.trajectory.io import align_rigid, ate, dead_reckon, write_g2o, write_tum
+from cyclic_env.trajectory.dead_reckoning import dead_reckon
+from cyclic_env.trajectory.io import write_g2o, write_tum
+from cyclic_env.trajectory.metrics import align_rigid, ate
 
 RNG = np.random.default_rng(0)
 
