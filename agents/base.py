@@ -9,12 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from agents.actions import Decision, encode_action
-from cyclic_env.config import ACTION_TYPES, ActionType
+from cyclic_env.config import ACTION_TYPES, DISTANCE_MAX, ActionType
 from cyclic_env.errors import ConfigError
 from cyclic_env.validation import as_array, check_choice, short_repr
 
-DISTANCE_MAX = 1e5
-"""Metres that a distance meter shows at most: the bound of the environment's observation space."""
 EXPECTED = "a dict with the arrays laser (N, beams), distance (N, 1) and compass (N, 2)"
 
 

@@ -80,11 +80,10 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
     """
     check_choice("agent", name, agent_names())
     settings = None if env is None else getattr(env.unwrapped, "config", None)
-    if action_type is None:
-        action_type = "wheels" if settings is None else settings.action_type
+    actions: ActionType = action_type or ("wheels" if settings is None else settings.action_type)
     if name in _BASELINES:
-        return _BASELINES[name](action_type=action_type, seed=seed)
+        return _BASELINES[name](action_type=actions, seed=seed)
     config = _EXPLORERS[name]
     if settings is not None:
         config = config.fitted(settings.laser, settings.robot)
-    return KnnPolicy(config, action_type=action_type)
+    return KnnPolicy(config, action_type=actions)

@@ -54,7 +54,7 @@ class OpenArea:
     offset: np.ndarray
     """Of its center from that keyframe, `(2,)`, metres east and north."""
     state: str = "open"
-    """Or "visited", "struck off" (seen into from elsewhere), "out of reach"."""
+    """Or "visited", "reached another way" (explored from elsewhere), "out of reach"."""
 
 
 @dataclass(slots=True)
@@ -231,7 +231,7 @@ class Frontiers:
         for area, visited in before.items():
             listed = self._areas[area].listed
             if listed is not None and listed.state == "open" and not (self.area == area).any():
-                listed.state = "visited" if visited else "struck off"
+                listed.state = "visited" if visited else "reached another way"
 
     def _list(self, keyframes: Keyframes, pose: np.ndarray) -> None:
         """List the areas that the robot has left behind."""

@@ -100,7 +100,7 @@ def test_ctrl_c_in_evaluate_keeps_the_agents_that_are_done(
     def interrupted(self: Any, laser: np.ndarray, memory: np.ndarray) -> np.ndarray:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("agents.scripted.SpinningAgent._drive", interrupted)
+    monkeypatch.setattr("agents.scripted.SpinningAgent.drive", interrupted)
     file = tmp_path / "scores.json"
     rest = ["--map", "ring", "--episodes", "2", "--step-budget", "5", "--json", str(file)]
     assert evaluate_main(["spinning", *rest]) == 130
