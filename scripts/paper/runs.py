@@ -14,8 +14,8 @@ from agents.knn.directions import sector_features
 from agents.knn.explorer import KnnExplorer
 from agents.knn.policy import KnnPolicy
 from agents.slam.scan_filters import despeckle
+from cyclic_env import CyclicLoopEnv
 from cyclic_env.config import ClosureConfig, NoiseConfig, noise_from_name
-from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.simulation.wall_index import build_wall_index
 from cyclic_env.task.loop_closure import line_of_sight
