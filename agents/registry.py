@@ -22,7 +22,7 @@ from agents.scripted import (
     ToAndFroAgent,
     WallFollowingAgent,
 )
-from cyclic_env.config import ActionType
+from cyclic_env.config import ActionType, EnvConfig
 from cyclic_env.validation import check_choice
 
 CLAIMS = "+claims"
@@ -79,11 +79,8 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
         If there is no such agent; the message lists them and the nearest.
     """
     check_choice("agent", name, agent_names())
-    settings = None if env is None else getattr(env.unwrapped, "config", None)
-    actions: ActionType = action_type or ("wheels" if settings is None else settings.action_type)
+    settings = EnvConfig() if env is None else env.unwrapped.config
+    actions = action_type or settings.action_type
     if name in _BASELINES:
         return _BASELINES[name](action_type=actions, seed=seed)
-    config = _EXPLORERS[name]
-    if settings is not None:
-        config = config.fitted(settings.laser, settings.robot)
-    return KnnPolicy(config, action_type=actions)
+    return KnnPolicy(_EXPLORERS[name].fitted(settings.laser, settings.robot), action_type=actions)

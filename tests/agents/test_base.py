@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
 
+import cyclic_env  # noqa: F401 (registers the ids)
 from agents import make_agent
 from agents.actions import FORWARD, STOP, TURN_LEFT, TURN_RIGHT, Decision, encode_action, match_of
 from agents.base import Agent, BatchPolicy
@@ -113,3 +115,17 @@ def test_a_state_of_another_laser_is_refused() -> None:
     _, state = policy.predict(observation)
     with pytest.raises(ConfigError, match="180 beams, the observation of 90"):
         policy.predict({**observation, "laser": observation["laser"][:, ::2]}, state)
+
+
+@pytest.mark.parametrize("vector", [False, True])
+def test_an_agent_made_for_an_environment_has_its_laser_robot_and_actions(vector: bool) -> None:
+    settings: dict[str, Any] = {"laser": {"range_max": 8.0, "num_beams": 90}, "robot": {"radius": 0.3, "dt": 0.1}}
+    make = gymnasium.make_vec if vector else gymnasium.make
+    env = make("CyclicLoop-v0", map_name="ring", action_type="twist", **settings)
+    agent = make_agent("knn", env)
+    assert isinstance(agent, KnnPolicy)
+    assert (agent.action_type, agent.config.range_max, agent.config.dt) == ("twist", 8.0, 0.1)
+    assert agent.config.planner.half_width == pytest.approx(0.36)
+    observation, _ = env.reset(seed=0)
+    assert env.action_space.contains(agent.predict(observation)[0])
+    env.close()
