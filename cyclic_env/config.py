@@ -206,7 +206,7 @@ class ClosureConfig:
     leave_radius: float = 10.0
     """How far away the robot must have been between the two visits, m."""
     event_gap: float = 2.0
-    """Runs of revisit steps with less than this length of path between them are one event, m."""
+    """Runs of fresh revisit steps with less than this length of path between them are one event, m."""
     event_length_min: float = 1.0
     """Events with a shorter path than this don't count, m."""
     claim_spacing: float = 2.0
@@ -278,14 +278,14 @@ class EnvConfig:
     map_name: str | tuple[str, ...] = "killian_court"
     """A shipped floor plan, a YAML file, or a generated building such as generated:cycles=4,seed=7. Of several, and of
     the buildings of generated:train, every reset draws one."""
-    noise: NoisePreset | NoiseConfig = "ideal"
-    """Errors of the sensors."""
+    noise: NoisePreset | NoiseConfig | tuple[NoisePreset | NoiseConfig, ...] = "ideal"
+    """Errors of the sensors. Of several, every reset draws one for each robot."""
     action_type: ActionType = "wheels"
     """What an action says: two wheel speeds, a twist (v, omega), or one of five drives."""
     random_start: bool = False
     """Draw the start of an episode from all positions that the robot can reach; otherwise it is the plan's own."""
     terminate_on_collision: bool = False
-    """End an episode at the first contact with a wall."""
+    """End an episode at the first contact with a wall; the rest of its step budget is charged as time."""
     step_budget: int | None = None
     """Steps after which an episode is truncated. By default they are enough to drive through corridors 2 m wide that
     have the plan's area, three times."""
@@ -304,10 +304,15 @@ class EnvConfig:
         check_bool(self, "terminate_on_collision")
         if self.step_budget is not None:
             check_integer(self, "step_budget", 1, STEP_BUDGET_MAX)
-        noise = noise_from_name(self.noise)
+        given: Any = self.noise
+        several = isinstance(given, list | tuple)
+        noise = tuple(given) if several else (given,)
+        check_field(self, len(noise) > 0, "noise", "a noise preset, a NoiseConfig, or several")
+        configs = [noise_from_name(one) for one in noise]
+        noise = tuple(one if isinstance(one, str) else config for one, config in zip(noise, configs, strict=True))
         checked = {
             "map_name": self.map_name if isinstance(self.map_name, str) else tuple(names),
-            "noise": self.noise if isinstance(self.noise, str) else noise,
+            "noise": noise if several else noise[0],
             "robot": from_mapping(RobotConfig, self.robot),
             "laser": from_mapping(LaserConfig, self.laser),
             "closure": from_mapping(ClosureConfig, self.closure),
@@ -318,15 +323,15 @@ class EnvConfig:
             object.__setattr__(self, name, value)
 
     @property
-    def sensor_noise(self) -> NoiseConfig:
-        """The sensors' errors, also where `noise` is the name of a preset."""
-        return noise_from_name(self.noise)
+    def sensor_noise(self) -> tuple[NoiseConfig, ...]:
+        """The sensors' errors, of which every reset draws one, also where `noise` has names of presets."""
+        return tuple(noise_from_name(one) for one in (self.noise if isinstance(self.noise, tuple) else (self.noise,)))
 
     @property
     def noise_name(self) -> str:
-        """The name of the noise preset, or ``"custom"``."""
-        presets = (name for name, preset in NOISE_PRESETS.items() if preset == self.sensor_noise)
-        return next(presets, "custom")
+        """The name of the noise preset, or ``"custom"``; several are joined by a plus sign."""
+        names = {preset: name for name, preset in NOISE_PRESETS.items()}
+        return "+".join(names.get(one, "custom") for one in self.sensor_noise)
 
 
 def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:

@@ -103,12 +103,12 @@ def fill(ranges, confirmed, out):
 def reliable_endpoints(
     scan: np.ndarray, measured: np.ndarray, range_max: float, config: FilterConfig | None = None
 ) -> np.ndarray:
-    """Return the ranges `(beams,)` of a filtered scan that are as they were measured, and `range_max` for the others.
+    """Return the ranges `(..., beams)` of filtered scans that are as they were measured, `range_max` for the others.
 
     The filter also rounds corners, by more than noise. Matched, such endpoints would pull a scan back to where the
     other one was taken.
     """
     config = config or FilterConfig()
     shift = np.abs(scan - measured)
-    allowed = config.shift_max + config.shift_noise * np.quantile(shift, config.shift_quantile)
-    return np.where(shift > allowed, range_max, scan)
+    typical = np.quantile(shift, config.shift_quantile, axis=-1, keepdims=True)
+    return np.where(shift > config.shift_max + config.shift_noise * typical, range_max, scan)

@@ -20,11 +20,11 @@ import numpy as np
 
 from cyclic_env import __version__
 from cyclic_env.atomic_write import atomic_write
-from cyclic_env.config import NOISE_PRESETS, NoiseConfig, from_mapping
+from cyclic_env.config import EnvConfig
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.errors import ConfigError, CyclicLoopError, RecordingError
 from cyclic_env.floor_plans import FloorPlan, floor_plan_from_text, floor_plan_to_text
-from cyclic_env.task.loop_closure import CLAIM
+from cyclic_env.task.path_history import CLAIM
 from cyclic_env.validation import as_array, short_repr
 
 LAYOUT = 1
@@ -122,8 +122,7 @@ class Recording:
     @property
     def noise(self) -> str:
         """Name of the noise preset, or ``"custom"``."""
-        noise = from_mapping(NoiseConfig, self.settings["noise"])
-        return next((name for name, preset in NOISE_PRESETS.items() if preset == noise), "custom")
+        return EnvConfig(noise=self.settings["noise"]).noise_name
 
     def make_env(self, render_mode: str | None = None) -> CyclicLoopEnv:
         """Return an environment in the state that the recorded one had before its reset.
