@@ -194,11 +194,12 @@ def scan_row(walls, plan, pose, beams, inverse, ranges):
         elif last - first > 0.5 * beams.per_turn:
             last -= beams.per_turn
         low, high = math.ceil(first - slack), math.floor(last + slack)
+        seen = (x1, y1, x2, y2)
         if beams.sees_all_around:
-            _draw_wall((x1, y1, x2, y2), beams, low, high, inverse)
+            _draw_wall(seen, beams, low, high, inverse)
         else:  # a wall across the gap between the last beam and beam 0 can be seen at both edges
-            _draw_wall((x1, y1, x2, y2), beams, low, min(high, num_beams - 1), inverse)
+            _draw_wall(seen, beams, low, min(high, num_beams - 1), inverse)
             high = math.floor(last - beams.per_turn + slack)
-            _draw_wall((x1, y1, x2, y2), beams, 0, min(high, num_beams - 1), inverse)
+            _draw_wall(seen, beams, 0, min(high, num_beams - 1), inverse)
     for beam in range(num_beams):
         ranges[beam] = 1.0 / max(inverse[beam], inverse[beam + num_beams])
