@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(
-        signal.SIGINT, lambda *_: (print("\nshow_plans.py: nothing done yet", file=sys.stderr), os._exit(130))
-    )
+    run_script(__file__)
 
 import argparse
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from cyclic_env import CyclicLoopError, FloorPlan, map_names
+from cyclic_env import FloorPlan, map_names
 from cyclic_env.analysis.perceptual_aliasing import perceptual_aliasing
 from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
-from cyclic_env.console import ProgressLine, say
 from cyclic_env.floor_plans import load_floor_plans
 from cyclic_env.jit import compile_notice
+from scripts._cli import command, interruptible, progress_bar
 
 FIGURE_DPI = 150
 EXAMPLES = """examples:
@@ -46,8 +42,9 @@ class Row(NamedTuple):
     aliasing: float
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
     parser = argparse.ArgumentParser(
         description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -60,41 +57,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="FILE", help="draw the plans, and mark the places with look-alikes")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to a file")
     args = parser.parse_args(arguments)
-    plans: list[FloorPlan] = []
+    if args.out:
+        from cyclic_env.rendering.figures import check_figure  # before the work: it says what to do without matplotlib
+
+        check_figure(args.out)
+    check_outputs(filter(None, (args.out, args.json)), map(Path, args.names))
+    plans = list(load_floor_plans(args.names))
     rows: list[Row] = []
     marked: list[np.ndarray] = []
-    code = 0
-    try:
-        if args.out:
-            from cyclic_env.rendering.figures import (
-                check_figure,  # before the work: it says what to do without matplotlib
-            )
-
-            check_figure(args.out)
-        check_outputs(filter(None, (args.out, args.json)), map(Path, args.names))
-        plans.extend(load_floor_plans(args.names))
-        progress = ProgressLine()
+    with interruptible() as interruption:
         for plan in plans:
-            done = f"{len(rows)} of {len(plans)} plans measured"
-            progress.show(f"{plan.name}: {done}")
-
-            def compared(count: int, total: int, text: str = f"places of {plan.name}, {done}") -> None:
-                progress.show(f"{count:,} of {total:,} {text}")
-
-            row, places = measured(plan, compared)
+            row, places = measured(plan, f"{len(rows) + 1} of {len(plans)}, {plan.name}")
             rows.append(row)
             marked.append(places)
-        progress.clear()
-    except (CyclicLoopError, OSError) as error:
-        print(f"show_plans.py: {error}", file=sys.stderr)
-        code = 2
-    except KeyboardInterrupt:
-        print(f"\nshow_plans.py: stopped after {len(rows)} of {len(plans)} plans.", file=sys.stderr)
-        code = 130
-    if not rows:
-        return code
-    say(table(rows))
-    try:
+    if rows:
         if args.json:
             write_text_atomically(args.json, json.dumps([row._asdict() for row in rows], indent=1) + "\n")
         if args.out:
@@ -103,19 +79,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
             figure = contact_sheet(plans[: len(rows)], [caption(row) for row in rows], marked)
             with atomic_write(args.out) as part:
                 figure.savefig(part, dpi=FIGURE_DPI)
-    except OSError as error:
-        print(f"show_plans.py: can't write the files: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nshow_plans.py: stopped; not all files were written.", file=sys.stderr)
-        return 130
-    return code
+        print(table(rows))
+    if interruption:
+        raise interruption.stopped(f"{len(rows)} of {len(plans)} plans are measured.")
 
 
-def measured(plan: FloorPlan, progress: Callable[[int, int], None] | None = None) -> tuple[Row, np.ndarray]:
+def measured(plan: FloorPlan, title: str) -> tuple[Row, np.ndarray]:
     """Return the measures of a plan, and its places that have a look-alike, `(n, 2)`."""
-    with compile_notice():
-        looks = perceptual_aliasing(plan, progress=progress)
+    with compile_notice(), progress_bar(unit="place", desc=title) as bar:
+
+        def show(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        looks = perceptual_aliasing(plan, progress=show)
     tour = plan.closed_tour()
     row = Row(
         plan=plan.name,
@@ -145,9 +122,3 @@ def caption(row: Row) -> str:
     """Return what stands above a plan in the figure."""
     name = row.plan.replace(",", ", ").replace("generated:", "")
     return f"{name}\ncycles: {row.cycles}, {row.free_area:,.0f} m2, aliasing {row.aliasing:.2f}"
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
-    sys.exit(main())

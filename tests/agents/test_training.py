@@ -12,6 +12,7 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
+from cyclic_env.console import ProgressLine
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor
@@ -27,7 +28,6 @@ from agents.rl.training import (
 )
 from agents.rl.vec_env import CyclicLoopVecEnv, ScanFeatures
 from cyclic_env import ConfigError, CyclicLoopEnv, UsageError
-from cyclic_env.console import ProgressLine
 from cyclic_env.evaluation.rollout import evaluate
 
 ROOT = Path(__file__).parents[2]

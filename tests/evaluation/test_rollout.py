@@ -14,10 +14,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+from cyclic_env.console import ProgressLine
 
 from agents import make_agent
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopError, CyclicLoopVectorEnv
-from cyclic_env.console import ProgressLine
 from cyclic_env.evaluation.rollout import (
     Evaluation,
     evaluate,
