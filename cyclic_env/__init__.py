@@ -30,7 +30,9 @@ if TYPE_CHECKING:
     from cyclic_env.envs.vector import CyclicLoopVectorEnv
     from cyclic_env.errors import ActionError, ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError
     from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names, read_floor_plan, write_floor_plan
-    from cyclic_env.recording.recorder import Recorder, Recording, read_recording, replay
+    from cyclic_env.recording.format import Recording, read_recording
+    from cyclic_env.recording.recorder import Recorder
+    from cyclic_env.recording.replay import replay
 
 __version__ = "0.1.0"
 
@@ -54,7 +56,9 @@ _HOMES = {
         "UsageError",
     ),
     "cyclic_env.floor_plans": ("FloorPlan", "load_floor_plan", "map_names", "read_floor_plan", "write_floor_plan"),
-    "cyclic_env.recording.recorder": ("Recorder", "Recording", "read_recording", "replay"),
+    "cyclic_env.recording.format": ("Recording", "read_recording"),
+    "cyclic_env.recording.recorder": ("Recorder",),
+    "cyclic_env.recording.replay": ("replay",),
     "cyclic_env.envs.vector": ("CyclicLoopVectorEnv",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}

@@ -21,6 +21,8 @@ import importlib
 import os
 import signal
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn, TextIO
@@ -30,6 +32,9 @@ if TYPE_CHECKING:
 
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """What interrupts a command: Ctrl-C, ``kill``, and a terminal that is closed."""
+
+REPORT_S = 30.0
+"""Seconds between two lines of progress in a log file."""
 
 
 def run_script(file: str) -> NoReturn:
@@ -51,6 +56,7 @@ def run_script(file: str) -> NoReturn:
     sys.stdout, sys.stderr = _LastingStream(sys.stdout), _LastingStream(sys.stderr)  # pyright: ignore[reportAttributeAccessIssue]
     main = importlib.import_module(f"scripts.{name}").main
     _handle_signals(_interrupt)
+    sys.unraisablehook = _send_again
     sys.exit(main())
 
 
@@ -62,6 +68,14 @@ def _handle_signals(handler: Callable[[int, Any], Any]) -> None:
 
 def _interrupt(signum: int, _: Any) -> NoReturn:
     raise KeyboardInterrupt(signum)
+
+
+def _send_again(unraisable: Any) -> None:
+    """Send a signal again that came where nothing can be raised, such as in a callback of LLVM while code is loaded."""
+    if isinstance(unraisable.exc_value, KeyboardInterrupt):
+        threading.Timer(0.1, os.kill, (os.getpid(), _signal_of(unraisable.exc_value))).start()
+    else:
+        sys.__unraisablehook__(unraisable)
 
 
 class _LastingStream:
@@ -164,8 +178,19 @@ def uninterrupted() -> Iterator[None]:
 
 
 def progress_bar(total: int | None = None, unit: str = "it", **options: Any) -> tqdm:
-    """Return a bar on stderr that goes away at its end; in a log file it is a line every half minute."""
+    """Return a bar on stderr that goes away at its end, or where stderr is no terminal a line every `REPORT_S`."""
     from tqdm import tqdm
 
-    pace = {} if sys.stderr.isatty() else {"mininterval": 30, "delay": 30}
-    return tqdm(total=total, unit=unit, leave=False, dynamic_ncols=True, miniters=0, **pace, **options)
+    class Lines(tqdm):
+        printed = time.monotonic()
+
+        def display(self, msg: str | None = None, pos: int | None = None) -> None:
+            if msg is None and time.monotonic() - self.printed >= REPORT_S:
+                self.printed = time.monotonic()
+                print(self, file=sys.stderr)
+
+        def clear(self, nolock: bool = False) -> None:
+            pass
+
+    kind = tqdm if sys.stderr.isatty() else Lines
+    return kind(total=total, unit=unit, leave=False, dynamic_ncols=True, miniters=0, **options)

@@ -1,4 +1,4 @@
-"""Replay a recorded episode, say whether it is the same to the bit, and print its scores."""
+"""Replay a recorded episode, say whether it is equal to the bit, and print its scores."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ from typing import TYPE_CHECKING
 
 from cyclic_env import CyclicLoopEnv, RecordingError, read_recording, replay
 from cyclic_env.atomic_write import check_outputs
-from cyclic_env.recording.recorder import Recording, Replay
-from cyclic_env.trajectory.io import ate
+from cyclic_env.recording.format import Recording
+from cyclic_env.recording.replay import Replay
+from cyclic_env.trajectory.metrics import ate
 from scripts._cli import command, progress_bar
 from scripts._tables import format_rows, score_rows
 
@@ -28,24 +29,24 @@ def main(arguments: Sequence[str] | None) -> int:
     """Run the command; return 0 if the replay is bit-equal, else 1."""
     parser = argparse.ArgumentParser(description=__doc__, epilog="Exit code: 0 bit-equal, 1 not, 2 bad input.")
     parser.add_argument("file", type=Path, metavar="FILE", help="recording of an episode, NPZ")
-    parser.add_argument("--gif", type=Path, metavar="FILE", help="write an animation of it")
-    parser.add_argument("--human", action="store_true", help="show it in a window, in real time")
+    parser.add_argument("--gif", type=Path, metavar="FILE", help="write an animation of the episode")
+    parser.add_argument("--human", action="store_true", help="show the episode in a window, in real time")
     args = parser.parse_args(arguments)
-    film: GifWriter | None = None
+    animation: GifWriter | None = None
     recording = read_recording(args.file)
     if args.gif is not None:
-        import cyclic_env.rendering.gif  # noqa: F401 (before the replay: it says what to do where something is missing)
+        import cyclic_env.rendering.gif  # noqa: F401 (fails before the replay if something is missing)
 
         check_outputs([args.gif], [args.file])
 
     def on_step(env: CyclicLoopEnv, step: int) -> None:
-        nonlocal film
+        nonlocal animation
         progress.update(step - progress.n)
         if args.gif is not None:
             from cyclic_env.rendering.gif import GifWriter
 
-            film = GifWriter(env) if film is None else film
-            film.take(step, last=step == recording.steps)
+            animation = GifWriter(env) if animation is None else animation
+            animation.take(step, last=step == recording.steps)
 
     with progress_bar(recording.steps, "step") as progress:
         try:
@@ -53,25 +54,25 @@ def main(arguments: Sequence[str] | None) -> int:
         except RecordingError as error:
             raise RecordingError(f"{args.file}: {error}") from error
     print(report(recording, outcome))
-    if film is not None:
-        film.write(args.gif)
+    if animation is not None:
+        animation.write(args.gif)
         print(f"\nwritten: {args.gif}")
     return 0 if outcome.equal else 1
 
 
 def report(recording: Recording, outcome: Replay) -> str:
-    """Return the verdict and the scores of the replay, one a line."""
+    """Return the verdict and the scores of the replay, one per line."""
     info, ended = outcome.info, recording.terminated or recording.truncated
-    off = {"dead reckoning": (recording.dead_reckoned[:, :2], recording.poses[:, :2])}
+    trajectories = {"dead reckoning": (recording.dead_reckoned[:, :2], recording.poses[:, :2])}
     for name, track in recording.tracks.items():
         if len(track) and (track[:, 0] >= 0).all() and (track[:, 0] <= recording.steps).all():
-            off[f"{name} track"] = (track[:, 1:3], recording.poses[track[:, 0].astype(int), :2])
+            trajectories[f"{name} track"] = (track[:, 1:3], recording.poses[track[:, 0].astype(int), :2])
     rows = {
         "map, sensors": f"{recording.map}, {recording.noise}, seed {recording.seed}",
         **score_rows(info),
-        "off, rms": ", ".join(f"{name} {ate(*pair):.2f} m" for name, pair in off.items()),
+        "ATE RMSE (m)": ", ".join(f"{name} {ate(*pair):.2f}" for name, pair in trajectories.items()),
         "return": f"{outcome.episode_return:.1f}",
         "collisions": f"{info['collisions']}",
-        "steps": f"{outcome.steps:,}" + ("" if ended else ", cut short"),
+        "steps": f"{outcome.steps:,}" + ("" if ended else ", stopped early"),
     }
     return f"{outcome.verdict()}\n{format_rows(rows)}"

@@ -24,8 +24,9 @@ from agents.knn.explorer import KnnExplorer, Memory
 from agents.knn.similarity import MEASURES
 from cyclic_env import CyclicLoopEnv, Recorder, Recording, __version__, map_names
 from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
-from cyclic_env.recording.recorder import write_recording
-from cyclic_env.trajectory.io import ate, write_g2o, write_tum
+from cyclic_env.recording.format import write_recording
+from cyclic_env.trajectory.io import write_g2o, write_tum
+from cyclic_env.trajectory.metrics import ate
 from scripts._cli import command, interruptible, progress_bar
 from scripts._tables import format_rows, score_rows
 
@@ -189,18 +190,19 @@ class Run:
         self.total += float(reward)
         for name, value in self.info["reward_terms"].items():
             self.terms[name] = self.terms.get(name, 0.0) + value
-        (self.memory,) = state
+        (memory,) = state
+        self.memory = memory
         if terminated or truncated:
             self.ending = "success" if terminated else "step budget spent"
-        elif self.memory.done and self.stopped_at is None:
+        elif memory.done and self.stopped_at is None:
             self.stopped_at = self.steps
         return observation, state
 
     def recording(self) -> Recording:
         """Return the recording, with the explorer's corrected track: its places as they are after all corrections."""
         assert self.memory is not None
-        places, start = self.memory.places, self.env.trajectory()[0, :2]
-        corrected = np.column_stack([places.step, places.pose[:, :2] + start, places.pose[:, 2]])
+        keyframes, start = self.memory.keyframes, self.env.trajectory()[0, :2]
+        corrected = np.column_stack([keyframes.step, keyframes.pose[:, :2] + start, keyframes.pose[:, 2]])
         return self.recorder.recording({"corrected": corrected})
 
     def metrics(self) -> dict[str, Any]:
@@ -219,9 +221,9 @@ class Run:
             "stopped_at": self.stopped_at,
             "path_over_tour": None if math.isnan(tour) else self.info["path_length_m"] / tour,
             "groups": len(self.memory.groups),
-            "rows": self.memory.places.count,
+            "rows": self.memory.keyframes.count,
             "rows_compared": self.memory.detector.compared,
-            "open_areas": len(self.memory.areas.listed),
+            "open_areas": len(self.memory.frontiers.listed),
             **track_errors(self.recording()),
             "seconds_per_step_env": None if watched else mean(self.env_s),
             "seconds_per_step_agent": mean(self.agent_s),
@@ -257,7 +259,7 @@ def track_errors(recording: Recording) -> dict[str, float | None]:
 def export(run: Run, folder: Path) -> None:
     """Write the files of `EXPORTS` into a folder."""
     assert run.memory is not None
-    recording, track = run.recording(), run.memory.track
+    recording, tracker = run.recording(), run.memory.tracker
     corrected = recording.tracks["corrected"]
     write_recording(recording, folder / "episode.npz")
     write_tum(folder / "true.tum", recording.times, recording.poses)
@@ -266,9 +268,9 @@ def export(run: Run, folder: Path) -> None:
     write_g2o(
         folder / "pose_graph.g2o",
         corrected[:, 1:],
-        track.edges,
-        track.heading_information,
-        run.memory.places.compass,
+        tracker.edges,
+        tracker.heading_information,
+        run.memory.keyframes.compass,
     )
 
 
@@ -328,11 +330,11 @@ def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
         scores[-1] += f" ({metrics['path_over_tour']:.2f} tours)"
     scores.append(f"{metrics['noise']} sensors, {metrics['preset']}, {metrics['detector']}")
     figure, axes = plan_figure(plan, plan.title or plan.name, "   ".join(scores))
-    places = way[memory.places.step, :2]
+    rows = way[memory.keyframes.step, :2]
     draw_path(axes, way)
-    draw_groups(axes, [(group.name, group.direction, places[group.rows]) for group in memory.groups])
-    areas = memory.areas.listed
-    positions = np.array([places[area.place] + area.offset for area in areas]).reshape(-1, 2)
+    draw_groups(axes, [(group.name, group.direction, rows[group.rows]) for group in memory.groups])
+    areas = memory.frontiers.listed
+    positions = np.array([rows[area.keyframe] + area.offset for area in areas]).reshape(-1, 2)
     draw_open_areas(axes, positions, [area.number for area in areas], [area.state for area in areas])
     draw_claims(axes, way, run.env.claims())
     add_legend(axes)

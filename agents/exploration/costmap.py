@@ -24,8 +24,8 @@ NEAR = 0.7
 
 
 @compiled
-def draw_scan(ranges, range_max, x, y, heading, left, bottom, passes, ends):
-    """Count in `passes` and `ends` `(CELLS, CELLS)`, indexed [row, column], the cells that beams cross and end in.
+def draw_scan(ranges, range_max, x, y, heading, left, bottom, passes, hits):
+    """Count in `passes` and `hits` `(CELLS, CELLS)`, indexed [row, column], the cells that beams cross and end in.
 
     (left, bottom) is the grid's corner.
     """
@@ -46,11 +46,11 @@ def draw_scan(ranges, range_max, x, y, heading, left, bottom, passes, ends):
             r += 0.05  # the surface is the near side of the wall
             i, j = math.floor(y0 + r * sin), math.floor(x0 + r * cos)
             if 0 <= i < CELLS and 0 <= j < CELLS:
-                ends[i, j] += 1
+                hits[i, j] += 1
 
 
 @compiled
-def classify(passes, ends, cost):
+def inflate(passes, hits, cost):
     """Write into `cost` `(CELLS, CELLS)` what a metre through each cell costs; inf where the robot can't be."""
     reach = int(COMFORT / CELL) + 1
     for i in range(CELLS):
@@ -59,7 +59,7 @@ def classify(passes, ends, cost):
     for i in range(CELLS):
         for j in range(CELLS):
             # A beam that grazes a wall passes its cells too; a stray end in free space is noise.
-            if ends[i, j] == 0 or (3 * ends[i, j] < passes[i, j]):
+            if hits[i, j] == 0 or (3 * hits[i, j] < passes[i, j]):
                 continue
             for a in range(max(0, i - reach), min(CELLS, i + reach + 1)):
                 for b in range(max(0, j - reach), min(CELLS, j + reach + 1)):
@@ -84,18 +84,18 @@ def clear_driven(legs, left, bottom, cost):
 
 
 @compiled
-def spread_ways(cost, row, column, lengths, before, queue, waiting):
+def cost_to_go(cost, row, column, costs_to_go, predecessors, queue, waiting):
     """Write the least costs of ways from a cell to all others, and the cell before each on its way, as flat indices.
 
-    `lengths` and `before` are `(CELLS, CELLS)`; `queue` `(CELLS**2,)` and `waiting` `(CELLS, CELLS)` are scratch. If
-    the robot is where it can't be, its ways lead out of there first.
+    `costs_to_go` and `predecessors` are `(CELLS, CELLS)`; `queue` `(CELLS**2,)` and `waiting` `(CELLS, CELLS)` are
+    scratch. If the robot is where it can't be, its ways lead out of there first.
     """
     for i in range(CELLS):
         for j in range(CELLS):
-            lengths[i, j] = math.inf
-            before[i, j] = -1
+            costs_to_go[i, j] = math.inf
+            predecessors[i, j] = -1
             waiting[i, j] = False
-    lengths[row, column] = 0.0
+    costs_to_go[row, column] = 0.0
     size = CELLS * CELLS
     queue[0], head, count = row * CELLS + column, 0, 1
     while count > 0:
@@ -111,10 +111,10 @@ def spread_ways(cost, row, column, lengths, before, queue, waiting):
                     if (a - row) ** 2 + (b - column) ** 2 > 4:
                         continue
                     each = 10.0
-                length = lengths[i, j] + each * CELL * math.sqrt((a - i) ** 2 + (b - j) ** 2)
-                if length < lengths[a, b] - 1e-9:
-                    lengths[a, b] = length
-                    before[a, b] = cell
+                total = costs_to_go[i, j] + each * CELL * math.sqrt((a - i) ** 2 + (b - j) ** 2)
+                if total < costs_to_go[a, b] - 1e-9:
+                    costs_to_go[a, b] = total
+                    predecessors[a, b] = cell
                     if not waiting[a, b]:
                         queue[(head + count) % size] = a * CELLS + b
                         count += 1
@@ -122,7 +122,7 @@ def spread_ways(cost, row, column, lengths, before, queue, waiting):
 
 
 @compiled
-def ends_near(lengths, points, costs, cells):
+def costs_near(costs_to_go, points, costs, cells):
     """Write the least cost of a way that ends within `NEAR` of each point `(n, 2)`, in cells, and its last cell.
 
     The rest of the way, as the crow flies, counts double: nearer ends are better ones.
@@ -134,8 +134,8 @@ def ends_near(lengths, points, costs, cells):
         for a in range(max(0, i - reach), min(CELLS, i + reach + 1)):
             for b in range(max(0, j - reach), min(CELLS, j + reach + 1)):
                 rest = CELL * math.sqrt((a - i) ** 2 + (b - j) ** 2)
-                if rest <= NEAR and lengths[a, b] + 2 * rest < costs[k]:
-                    costs[k], cells[k] = lengths[a, b] + 2 * rest, a * CELLS + b
+                if rest <= NEAR and costs_to_go[a, b] + 2 * rest < costs[k]:
+                    costs[k], cells[k] = costs_to_go[a, b] + 2 * rest, a * CELLS + b
 
 
 class Costmap:
@@ -143,10 +143,10 @@ class Costmap:
 
     def __init__(self) -> None:
         self._passes = np.zeros((CELLS, CELLS), np.int32)
-        self._ends = np.zeros((CELLS, CELLS), np.int32)
-        self._cost = np.zeros((CELLS, CELLS))
-        self._lengths = np.full((CELLS, CELLS), np.inf)
-        self._before = np.zeros((CELLS, CELLS), np.int64)
+        self._hits = np.zeros((CELLS, CELLS), np.int32)
+        self._cell_cost = np.zeros((CELLS, CELLS))
+        self._costs_to_go = np.full((CELLS, CELLS), np.inf)
+        self._predecessors = np.zeros((CELLS, CELLS), np.int64)
         self._queue = np.zeros(CELLS * CELLS, np.int64)
         self._waiting = np.zeros((CELLS, CELLS), np.bool_)
         self._left = self._bottom = 0.0
@@ -155,26 +155,26 @@ class Costmap:
         """Draw scans `(n, beams)` taken at poses `(n, 3)`, and driven legs, around a pose; spread ways from it."""
         self._left, self._bottom = pose[0] - CELLS * CELL / 2, pose[1] - CELLS * CELL / 2
         self._passes[:] = 0
-        self._ends[:] = 0
+        self._hits[:] = 0
         for scan, (x, y, heading) in zip(scans, poses, strict=True):
-            draw_scan(scan, range_max, x, y, heading, self._left, self._bottom, self._passes, self._ends)
-        classify(self._passes, self._ends, self._cost)
-        clear_driven(legs, self._left, self._bottom, self._cost)
+            draw_scan(scan, range_max, x, y, heading, self._left, self._bottom, self._passes, self._hits)
+        inflate(self._passes, self._hits, self._cell_cost)
+        clear_driven(legs, self._left, self._bottom, self._cell_cost)
         middle = CELLS // 2
-        spread_ways(self._cost, middle, middle, self._lengths, self._before, self._queue, self._waiting)
+        cost_to_go(self._cell_cost, middle, middle, self._costs_to_go, self._predecessors, self._queue, self._waiting)
 
-    def ways_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def costs_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the costs `(n,)` of the ways to points `(n, 2)`, inf where none is known, and their last cells."""
         costs, cells = np.empty(len(points)), np.empty(len(points), np.int64)
-        ends_near(self._lengths, (points - (self._left, self._bottom)) / CELL, costs, cells)
+        costs_near(self._costs_to_go, (points - (self._left, self._bottom)) / CELL, costs, cells)
         return costs, cells
 
-    def way_to(self, cell: int) -> np.ndarray:
+    def path_to(self, cell: int) -> np.ndarray:
         """Return the centres `(m, 2)` of the cells on the way to a flat cell, the robot's own first."""
-        way = [cell]
-        while self._before[way[-1] // CELLS, way[-1] % CELLS] >= 0:
-            way.append(self._before[way[-1] // CELLS, way[-1] % CELLS])
-        cells = np.array(way[::-1])
+        path = [cell]
+        while self._predecessors[path[-1] // CELLS, path[-1] % CELLS] >= 0:
+            path.append(self._predecessors[path[-1] // CELLS, path[-1] % CELLS])
+        cells = np.array(path[::-1])
         return np.column_stack([cells % CELLS, cells // CELLS]) * CELL + (
             self._left + CELL / 2,
             self._bottom + CELL / 2,

@@ -8,9 +8,9 @@ import numpy as np
 
 from agents.exploration.costmap import Costmap
 from agents.exploration.frontiers import DETOUR, Frontiers
+from agents.exploration.visibility import clear_beam, clear_lengths
 from agents.slam.keyframes import Keyframes, route
-from agents.slam.scan_filters import clear_beam, clear_lengths
-from agents.slam.se2 import distances, wrap, wrap_all
+from agents.slam.se2 import euclidean_distances, wrap, wrap_all
 from cyclic_env.jit import compiled
 
 HALF_WIDTH = 0.31
@@ -48,27 +48,27 @@ class Planner:
     ----------
     goal : (2,) float64 or None
         In the frame of the track.
-    way : (m, 2) float64
+    path : (m, 2) float64
         Points that are left of the way to it.
     """
 
     def __init__(self, beams: int) -> None:
         self.goal: np.ndarray | None = None
-        self.way = np.zeros((0, 2))
+        self.path = np.zeros((0, 2))
         self._local = False
-        self._map = Costmap()
+        self._costmap = Costmap()
         self._clear = np.zeros(beams)
-        self._left = math.inf  # cost of the way when there was progress last
-        self._waited = 0
+        self._best_cost = math.inf  # cost of the way when there was progress last
+        self._steps_stuck = 0
 
-    def choose(
+    def select_goal(
         self,
         pose: np.ndarray,
         scan: np.ndarray,
-        places: Keyframes,
-        areas: Frontiers,
-        lengths: np.ndarray,
-        before: np.ndarray,
+        keyframes: Keyframes,
+        frontiers: Frontiers,
+        geodesic_m: np.ndarray,
+        predecessors: np.ndarray,
         order: np.ndarray | None = None,
     ) -> None:
         """Choose an open point to go to: the one at hand, or the cheapest if that is gone or far dearer.
@@ -77,28 +77,28 @@ class Planner:
         ----------
         pose : (3,)
         scan : (beams,)
-        places : Keyframes
-        areas : Frontiers
-        lengths, before : (n,)
-            Of the ways from the last place; see `Keyframes.ways_from`.
+        keyframes : Keyframes
+        frontiers : Frontiers
+        geodesic_m, predecessors : (n,)
+            Of the ways from the last place; see `Keyframes.geodesic_distances`.
         order : (m,), optional
             Only points of the least value are chosen from; inf for those that are out of question.
         """
-        points = areas.points(places)
+        points = frontiers.points(keyframes)
         if not len(points) or (order is not None and not np.isfinite(order).any()):
             self.goal = None
             return
-        away = distances(points, pose)
-        costs, ends = self._draw(pose, scan, places, areas.range_max, lengths).ways_to(points)
-        local = np.isfinite(costs) & (lengths[areas.place] <= away + DETOUR + MAP_REACH)
-        costs = np.where(local, costs, lengths[areas.place] + areas.polar[:, 0] + FAR_COST)
+        euclidean_m = euclidean_distances(points, pose)
+        costs, cells = self._draw(pose, scan, keyframes, frontiers.range_max, geodesic_m).costs_to(points)
+        local = np.isfinite(costs) & (geodesic_m[frontiers.keyframe] <= euclidean_m + DETOUR + MAP_REACH)
+        costs = np.where(local, costs, geodesic_m[frontiers.keyframe] + frontiers.polar[:, 0] + FAR_COST)
         bearings = np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2]
-        costs += TURN_COST * np.abs(wrap_all(bearings)) + KIND_COST[areas.polar[:, 2].astype(np.int64)]
+        costs += TURN_COST * np.abs(wrap_all(bearings)) + KIND_COST[frontiers.polar[:, 2].astype(np.int64)]
         if order is not None:
             costs += np.where(order == order.min(), 0.0, np.inf)
         best = int(np.argmin(costs))
         if self.goal is not None:
-            same = distances(points, self.goal)
+            same = euclidean_distances(points, self.goal)
             mine = int(np.argmin(same))
             if (
                 same[mine] < 0.3
@@ -106,82 +106,84 @@ class Planner:
                 and costs[best] >= SWITCH_SHARE * costs[mine] - SWITCH_GAIN
             ):
                 best = mine
-        kept = self.goal is not None and distances(points[best : best + 1], self.goal)[0] < 0.5
-        if not kept or costs[best] < self._left - 0.5:
-            self._left, self._waited = float(costs[best]), 0
+        kept = self.goal is not None and euclidean_distances(points[best : best + 1], self.goal)[0] < 0.5
+        if not kept or costs[best] < self._best_cost - 0.5:
+            self._best_cost, self._steps_stuck = float(costs[best]), 0
         goal = self.goal = points[best]
-        if kept and self._local and not local[best] and len(self.way):
+        if kept and self._local and not local[best] and len(self.path):
             return  # the way is known, though its end is off the map now
         self._local = bool(local[best])
         if self._local:
-            self.way = self._map.way_to(int(ends[best]))
+            self.path = self._costmap.path_to(int(cells[best]))
         else:
-            self.way = self._way_along(np.vstack([places.pose[route(before, int(areas.place[best])), :2], goal]))
+            self.path = self._path_along(
+                np.vstack([keyframes.pose[route(predecessors, int(frontiers.keyframe[best])), :2], goal])
+            )
 
-    def _way_along(self, spots: np.ndarray) -> np.ndarray:
+    def _path_along(self, spots: np.ndarray) -> np.ndarray:
         """Return the way `(m, 2)` along places `(n, 2)`, over the local map as far as it goes."""
         driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(spots, axis=0).T))])
-        costs, ends = self._map.ways_to(spots)
+        costs, cells = self._costmap.costs_to(spots)
         on_map = np.flatnonzero((driven < MAP_REACH) & np.isfinite(costs))
         if not len(on_map):
             return spots
-        return np.vstack([self._map.way_to(int(ends[on_map[-1]])), spots[on_map[-1] + 1 :]])
+        return np.vstack([self._costmap.path_to(int(cells[on_map[-1]])), spots[on_map[-1] + 1 :]])
 
     def _draw(
-        self, pose: np.ndarray, scan: np.ndarray, places: Keyframes, range_max: float, lengths: np.ndarray
+        self, pose: np.ndarray, scan: np.ndarray, keyframes: Keyframes, range_max: float, geodesic_m: np.ndarray
     ) -> Costmap:
-        away = distances(places.pose, pose)
-        near = np.flatnonzero((away < MAP_REACH) & (lengths <= away + DETOUR))
-        spots = np.vstack([places.pose[:, :2], pose[:2]])
+        euclidean_m = euclidean_distances(keyframes.pose, pose)
+        near = np.flatnonzero((euclidean_m < MAP_REACH) & (geodesic_m <= euclidean_m + DETOUR))
+        spots = np.vstack([keyframes.pose[:, :2], pose[:2]])
         legs = np.stack([spots[near], spots[near + 1]], axis=1)
-        near = near[np.argsort(away[near], kind="stable")][: 2 * MAP_SCANS : 2]
-        self._map.draw(
-            pose, np.vstack([scan, places.scan[near]]), np.vstack([pose, places.pose[near]]), legs, range_max
+        near = near[np.argsort(euclidean_m[near], kind="stable")][: 2 * MAP_SCANS : 2]
+        self._costmap.draw(
+            pose, np.vstack([scan, keyframes.scan[near]]), np.vstack([pose, keyframes.pose[near]]), legs, range_max
         )
-        return self._map
+        return self._costmap
 
-    def arrives(self, pose: np.ndarray) -> bool:
+    def has_arrived(self, pose: np.ndarray) -> bool:
         """Tell whether the robot is at its goal."""
         return self.goal is not None and math.hypot(pose[0] - self.goal[0], pose[1] - self.goal[1]) < ARRIVES
 
     @property
     def gives_up(self) -> bool:
         """Whether the goal seems out of reach."""
-        return self.goal is not None and self._waited > PATIENCE
+        return self.goal is not None and self._steps_stuck > PATIENCE
 
-    def drop(self) -> None:
+    def clear_goal(self) -> None:
         """Have no goal any more."""
-        self.goal, self._left, self._waited = None, math.inf, 0
+        self.goal, self._best_cost, self._steps_stuck = None, math.inf, 0
 
-    def drive(self, pose: np.ndarray, scan: np.ndarray) -> tuple[float, float]:
+    def steer_along(self, pose: np.ndarray, scan: np.ndarray) -> tuple[float, float]:
         """Return speed and turning rate along the way, as shares of a full twist."""
         if self.goal is None:
             return 0.0, 0.0
-        self._waited += 1
+        self._steps_stuck += 1
         clear_lengths(scan, HALF_WIDTH, self._clear)
-        target, bearing, away = look_ahead(self.way, pose, self._clear)
-        self.way = self.way[target:]
-        return steer(self._clear, bearing, away, AVOIDS if self._waited < HESITATES else math.pi)
+        target, bearing, euclidean_m = look_ahead(self.path, pose, self._clear)
+        self.path = self.path[target:]
+        return steer(self._clear, bearing, euclidean_m, AVOIDS if self._steps_stuck < HESITATES else math.pi)
 
 
 @compiled
-def look_ahead(way, pose, clear):
+def look_ahead(path, pose, clear):
     """Return the farthest point of a way `(m, 2)` to which the way is clear, its bearing and its distance.
 
     Points within reach of the robot are passed over; where no way is clear, the first point is taken.
     """
     spacing = 2 * math.pi / clear.shape[0]
     target = 0
-    for k in range(way.shape[0]):
-        dx, dy = way[k, 0] - pose[0], way[k, 1] - pose[1]
-        away = math.sqrt(dx * dx + dy * dy)
+    for k in range(path.shape[0]):
+        dx, dy = path[k, 0] - pose[0], path[k, 1] - pose[1]
+        euclidean_m = math.sqrt(dx * dx + dy * dy)
         beam = round((math.atan2(dy, dx) - pose[2]) / spacing) % clear.shape[0]
-        if away < LOOKAHEAD and away < clear[beam] + 0.3:
+        if euclidean_m < LOOKAHEAD and euclidean_m < clear[beam] + 0.3:
             target = k
-    dx, dy = way[target, 0] - pose[0], way[target, 1] - pose[1]
-    if dx * dx + dy * dy < PASSED**2 and target < way.shape[0] - 1:
+    dx, dy = path[target, 0] - pose[0], path[target, 1] - pose[1]
+    if dx * dx + dy * dy < PASSED**2 and target < path.shape[0] - 1:
         target += 1
-        dx, dy = way[target, 0] - pose[0], way[target, 1] - pose[1]
+        dx, dy = path[target, 0] - pose[0], path[target, 1] - pose[1]
     bearing = math.atan2(dy, dx) - pose[2]
     bearing -= 2 * math.pi * math.floor((bearing + math.pi) / (2 * math.pi))
     return target, bearing, math.sqrt(dx * dx + dy * dy)

@@ -8,16 +8,17 @@ from typing import Any
 
 import numpy as np
 
+from agents.actions import MATCH_START, drive_actions
 from agents.exploration.frontiers import DETOUR, Frontiers
 from agents.exploration.planner import Planner
+from agents.exploration.visibility import inside
 from agents.knn.config import ExplorerConfig, preset
 from agents.knn.directions import Group, compass_direction, sector_features
 from agents.knn.loop_detector import Detector
-from agents.scripted import MATCH_START, drive_actions
 from agents.slam.keyframes import Keyframes
-from agents.slam.scan_filters import confirm, despeckle, fill, inside, sound_ends
-from agents.slam.scan_matching import wall_lines
-from agents.slam.se2 import compose, distances, relative, wrap_all
+from agents.slam.scan_filters import confirm, despeckle, fill, reliable_endpoints
+from agents.slam.scan_matching import fit_wall_lines
+from agents.slam.se2 import compose, euclidean_distances, relative, wrap_all
 from agents.slam.tracker import PoseTracker
 from cyclic_env.config import ACTION_TYPES, ActionType
 from cyclic_env.errors import ConfigError
@@ -38,7 +39,7 @@ IN_SIGHT_ROWS = 3
 """Rows back to which an opening counts as being in sight."""
 AHEAD = math.radians(120)
 """Off the heading, to which a corridor goes on."""
-JOIN_REACH, JOIN_MOST = 6.0, 4
+CONNECT_RADIUS, MAX_CONNECTIONS = 6.0, 4
 """Metres within which places in sight of each other are joined, and how many to each at most."""
 
 
@@ -53,10 +54,10 @@ class Memory:
         The paper's tables, in the order in which they were begun.
     indicators : list of int
         NI, EI, SI, WI.
-    places : Keyframes
+    keyframes : Keyframes
         The rows of all tables.
-    track : PoseTracker
-    areas : Frontiers
+    tracker : PoseTracker
+    frontiers : Frontiers
     claims : list of (int, int)
         Steps at which the robot claimed to be back, and at which step it was there before.
     visited : bool
@@ -74,11 +75,11 @@ class Memory:
         self.direction: int | None = None
         self.indicators = [0, 0, 0, 0]
         self.groups: list[Group] = []
-        self.places = Keyframes(beams, config.sectors)
-        self.track = PoseTracker(config.range_max, config.match_scans)
-        self.areas = Frontiers(beams, config.range_max)
+        self.keyframes = Keyframes(beams, config.sectors)
+        self.tracker = PoseTracker(config.range_max, config.match_scans)
+        self.frontiers = Frontiers(beams, config.range_max)
         self.detector = Detector(config)
-        self.pilot = Planner(beams)
+        self.planner = Planner(beams)
         self.claims: list[tuple[int, int]] = []
         self.visited = False
         self.on_list = False
@@ -87,8 +88,8 @@ class Memory:
         self.measured = np.zeros((SCANS_KEPT, beams))
         self.scans = np.zeros((SCANS_KEPT, beams))
         self.poses = np.zeros((SCANS_KEPT, 3))
-        self.lengths = np.zeros(0)
-        self.before = np.zeros(0, np.int64)
+        self.geodesic_m = np.zeros(0)
+        self.predecessors = np.zeros(0, np.int64)
         self.since_choice = 0
 
 
@@ -196,146 +197,150 @@ class KnnExplorer:
         self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray
     ) -> tuple[float, float, float, float]:
         """Take one robot's decision, the paper's Steps 1 to 6: speed, turning rate, claim and match."""
-        places, track, pilot = memory.places, memory.track, memory.pilot
+        keyframes, tracker, planner = memory.keyframes, memory.tracker, memory.planner
         self._sense(memory, laser, distance, compass)
         # Steps 2 to 4: a change of direction raises the new direction's indicator, and begins a group.
-        direction = compass_direction(track.compass, memory.direction)
+        direction = compass_direction(tracker.compass, memory.direction)
         if direction != memory.direction:
             memory.direction = direction
             memory.indicators[direction] += 1
             memory.groups.append(Group(direction, memory.indicators[direction]))
         match = None
         if memory.steps >= FIRST_STEPS and not memory.done:
-            moved = math.inf if not places.count else math.hypot(*(track.pose[:2] - places.pose[-1, :2]))
-            if pilot.goal is not None and pilot.gives_up:
-                memory.areas.ban(places, pilot.goal)
-                pilot.drop()
+            moved = math.inf if not keyframes.count else math.hypot(*(tracker.pose[:2] - keyframes.pose[-1, :2]))
+            if planner.goal is not None and planner.gives_up:
+                memory.frontiers.blacklist(keyframes, planner.goal)
+                planner.clear_goal()
                 memory.since_choice = LOOK_AGAIN
-            if places.count and memory.steps - places.step[-1] == SCANS_KEPT // 2:
-                memory.areas.verify(places, memory.measured, memory.poses)
-            if moved >= self.config.row_spacing or (pilot.arrives(track.pose) and moved > 0.1):
+            if keyframes.count and memory.steps - keyframes.step[-1] == SCANS_KEPT // 2:
+                memory.frontiers.verify(keyframes, memory.measured, memory.poses)
+            if moved >= self.config.row_spacing or (planner.has_arrived(tracker.pose) and moved > 0.1):
                 # Step 1: add a row to the group's table, and openings to the open areas' list.
-                before = track.pose.copy()
+                before_matching = tracker.pose.copy()
                 self._add_row(memory)
                 # Step 5: compare with the tables of before.
                 match = self._compare(memory)
-                memory.poses = compose(track.pose, relative(before, memory.poses))
-                memory.areas.update(places, memory.lengths)
+                memory.poses = compose(tracker.pose, relative(before_matching, memory.poses))
+                memory.frontiers.update(keyframes, memory.geodesic_m)
                 memory.since_choice = LOOK_AGAIN
             # Step 6: go to an open area, or on.
             if memory.since_choice >= LOOK_AGAIN:
-                self._choose(memory)
+                self._select_goal(memory)
             memory.since_choice += 1
         memory.steps += 1
-        speed, turn = pilot.drive(track.pose, memory.scans[0])
+        speed, turn = planner.steer_along(tracker.pose, memory.scans[0])
         if match is None or memory.steps < memory.trusted_from:
             return speed, turn, -1.0, MATCH_START
         memory.claims.append((memory.steps, match))
         return speed, turn, 1.0, 2 * match / memory.steps - 1
 
     def _sense(self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray) -> None:
-        driven = memory.track.path
-        memory.track.advance(distance, compass)
-        if memory.track.path - driven > ADVANCE_MAX or math.hypot(*compass) < COMPASS_MIN:
+        driven = memory.tracker.path
+        memory.tracker.advance(distance, compass)
+        if memory.tracker.path - driven > ADVANCE_MAX or math.hypot(*compass) < COMPASS_MIN:
             memory.trusted_from = memory.steps + DISTRUST
-        for kept, new in ((memory.measured, laser), (memory.scans, laser), (memory.poses, memory.track.pose)):
+        for kept, new in ((memory.measured, laser), (memory.scans, laser), (memory.poses, memory.tracker.pose)):
             kept[1:] = kept[:-1]
             kept[0] = new
         despeckle(laser, memory.scans[0])
 
     def _add_row(self, memory: Memory) -> None:
-        places, track = memory.places, memory.track
+        keyframes, tracker = memory.keyframes, memory.tracker
         scan, confirmed = memory.scans[0].copy(), np.zeros(len(memory.scans[0]), np.bool_)
         for earlier in range(1, FIRST_STEPS + 1):
-            confirm(memory.scans[0], track.pose, memory.scans[earlier], memory.poses[earlier], confirmed)
+            confirm(memory.scans[0], tracker.pose, memory.scans[earlier], memory.poses[earlier], confirmed)
         fill(memory.scans[0], confirmed, scan)
         memory.scans[0] = scan
-        ends = sound_ends(scan, memory.measured[0], self.config.range_max)
-        track.localise(places, scan, ends, memory.lengths)
+        endpoints = reliable_endpoints(scan, memory.measured[0], self.config.range_max)
+        tracker.localize(keyframes, scan, endpoints, memory.geodesic_m)
         lines = np.empty((len(scan), 3))
-        wall_lines(ends, self.config.range_max, lines)
-        row = places.add(
-            pose=track.pose,
-            odometry=track.odometry,
+        fit_wall_lines(endpoints, self.config.range_max, lines)
+        row = keyframes.add(
+            pose=tracker.pose,
+            odometry=tracker.odometry,
             scan=scan,
-            ends=ends,
+            endpoints=endpoints,
             lines=lines,
             features=sector_features(scan, self.config.sectors, self.config.rounding),
-            compass=track.compass,
+            compass=tracker.compass,
             direction=memory.direction,
             group=len(memory.groups) - 1,
             step=memory.steps,
-            path=track.path,
+            path=tracker.path,
         )
         memory.groups[-1].rows.append(row)
-        memory.lengths, memory.before = places.ways_from(row)
+        memory.geodesic_m, memory.predecessors = keyframes.geodesic_distances(row)
 
     def _compare(self, memory: Memory) -> int | None:
         """Return the step at which the robot was here before, if it was; join what belongs together."""
-        places, track = memory.places, memory.track
-        last = places.count - 1
-        found = memory.detector.detect(places, track, memory.lengths)
-        if found.joins is not None:
-            places.join(found.joins, last)
+        keyframes, tracker = memory.keyframes, memory.tracker
+        last = keyframes.count - 1
+        found = memory.detector.detect(keyframes, tracker, memory.geodesic_m)
+        if found.connects is not None:
+            keyframes.connect(found.connects, last)
         if found.loop is not None:
-            track.close(places, found.loop)
-            found.visited = memory.detector.at_loop(places, track)
-        track.relax(places)
-        if found.joins is not None:
-            memory.lengths, _ = places.ways_from(last)
-        self._join_neighbours(memory, last)
-        memory.lengths, memory.before = places.ways_from(last)
-        if found.joins is not None:
-            memory.areas.recheck(places)
+            tracker.add_loop_closure(keyframes, found.loop)
+            found.visited = memory.detector.at_loop(keyframes, tracker)
+        tracker.relax(keyframes)
+        if found.connects is not None:
+            memory.geodesic_m, _ = keyframes.geodesic_distances(last)
+        self._connect_neighbors(memory, last)
+        memory.geodesic_m, memory.predecessors = keyframes.geodesic_distances(last)
+        if found.connects is not None:
+            memory.frontiers.recheck(keyframes)
         memory.visited = found.visited is not None
-        return None if found.visited is None else int(places.step[found.visited])
+        return None if found.visited is None else int(keyframes.step[found.visited])
 
-    def _join_neighbours(self, memory: Memory, last: int) -> None:
+    def _connect_neighbors(self, memory: Memory, last: int) -> None:
         """Let ways lead to the nearest places in sight."""
-        places = memory.places
-        away = distances(places.pose, places.pose[last])
-        near = np.flatnonzero((away < JOIN_REACH) & (memory.lengths <= away + DETOUR))
+        keyframes = memory.keyframes
+        euclidean_m = euclidean_distances(keyframes.pose, keyframes.pose[last])
+        near = np.flatnonzero((euclidean_m < CONNECT_RADIUS) & (memory.geodesic_m <= euclidean_m + DETOUR))
         near = near[near < last - 1]
-        near = near[np.argsort(away[near], kind="stable")][:JOIN_MOST]
+        near = near[np.argsort(euclidean_m[near], kind="stable")][:MAX_CONNECTIONS]
         seen = np.empty(len(near), np.bool_)
-        inside(places.scan[last], *places.pose[last], places.pose[near, :2], 0.3, seen)
-        for place in near[seen].tolist():
-            places.join(place, last)
+        inside(keyframes.scan[last], *keyframes.pose[last], keyframes.pose[near, :2], 0.3, seen)
+        for keyframe in near[seen].tolist():
+            keyframes.connect(keyframe, last)
 
-    def _choose(self, memory: Memory) -> None:
+    def _select_goal(self, memory: Memory) -> None:
         memory.since_choice = 0
-        pilot = memory.pilot
-        pilot.choose(
-            memory.track.pose,
+        planner = memory.planner
+        planner.select_goal(
+            memory.tracker.pose,
             memory.scans[0],
-            memory.places,
-            memory.areas,
-            memory.lengths,
-            memory.before,
+            memory.keyframes,
+            memory.frontiers,
+            memory.geodesic_m,
+            memory.predecessors,
             self._order(memory),
         )
-        memory.done = pilot.goal is None
+        memory.done = planner.goal is None
 
     def _order(self, memory: Memory) -> np.ndarray | None:
         """Return which open points come first, `(m,)`, inf for those out of question; None if all are alike."""
-        config, areas, goal = self.config, memory.areas, memory.pilot.goal
+        config, frontiers, goal = self.config, memory.frontiers, memory.planner.goal
         if config.order == "nearest" and not config.unbounded_only and not config.go_on:
             return None
-        points = areas.points(memory.places)
+        points = frontiers.points(memory.keyframes)
         if memory.on_list:
             # On the way to an area of the list, until it is struck off.
-            memory.on_list = goal is not None and len(points) > 0 and bool(distances(points, goal).min() < 0.3)
+            memory.on_list = (
+                goal is not None and len(points) > 0 and bool(euclidean_distances(points, goal).min() < 0.3)
+            )
             if memory.on_list and goal is not None:
-                return np.where(areas.area == areas.area[np.argmin(distances(points, goal))], 0.0, np.inf)
+                return np.where(
+                    frontiers.area == frontiers.area[np.argmin(euclidean_distances(points, goal))], 0.0, np.inf
+                )
         if config.go_on and not memory.visited:
-            pose = memory.track.pose
+            pose = memory.tracker.pose
             bearings = wrap_all(np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2])
-            ahead = (areas.place >= memory.places.count - IN_SIGHT_ROWS) & (np.abs(bearings) < AHEAD)
+            ahead = (frontiers.keyframe >= memory.keyframes.count - IN_SIGHT_ROWS) & (np.abs(bearings) < AHEAD)
             if ahead.any():
                 return np.where(ahead, 0.0, np.inf)
         sign = {"nearest": 0, "first in first out": 1, "last in first out": -1}[config.order]
-        order = sign * areas.area.astype(np.float64)
+        order = sign * frontiers.area.astype(np.float64)
         if config.unbounded_only:
-            order[~areas.unbounded] = np.inf
+            order[~frontiers.unbounded] = np.inf
         memory.on_list = bool(np.isfinite(order).any())
         return order

@@ -14,8 +14,8 @@ class ScanFeatures(BaseFeaturesExtractor):
     """The observation, scaled so that all its numbers are of about the same size.
 
     Ranges are divided by the laser's reach. The distance, which has no bound, becomes
-    tanh(distance / `DISTANCE_SCALE`). The compass is a unit vector already. The scaling is part of the policy and saved with it, so a model takes
-    observations as they come from the environment, in any harness.
+    tanh(distance / `DISTANCE_SCALE`). The compass is a unit vector already. The scaling is part of the policy and
+    saved with it, so a model takes observations as they come from the environment, in any harness.
 
     Parameters
     ----------

@@ -57,7 +57,7 @@ class TrainingSettings:
 
 
 def training_settings(given: Mapping[str, Any]) -> TrainingSettings:
-    """Return settings with the given fields, of which ``map_name`` is a text with commas, and defaults for the others."""
+    """Return settings with the given fields and defaults for the others; ``map_name`` is a text with commas."""
     given = dict(given)
     if "map_name" in given:
         given["map_name"] = tuple(separate_names(given["map_name"]))

@@ -188,7 +188,7 @@ def check_output_folder(out: Path) -> None:
     ConfigError
         If one of them can't; the message names it.
     """
-    check_writable(out / "trial")
+    check_writable(out / MODEL)
     for path in (out / MODEL, out / SETTINGS, out / PROGRESS):
         if path.exists() and not (path.is_file() and os.access(path, os.W_OK)):
             raise ConfigError(f"can't write to {path}: it is no file, or not yours; use another --out.")

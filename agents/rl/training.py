@@ -182,15 +182,16 @@ class _Bookkeeper(BaseCallback):
     def _announce(self, progress: tqdm) -> None:
         update = self.model.n_envs * (self.model.n_steps if isinstance(self.model, OnPolicyAlgorithm) else 1)
         end = self.num_timesteps + math.ceil((self._steps - self.num_timesteps) / update) * update
-        progress.reset(total=end)
-        progress.initial = progress.n = self.num_timesteps
         first_end = self.num_timesteps + min(self.training_env.get_attr("step_budget")) * self.model.n_envs
-        progress.write(
+        progress.clear()
+        print(
             f"training {self._settings.algo} on {','.join(self._settings.map_name)} until step {end:,}"
             + (f" ({self._steps:,} rounded up to whole updates)" if end > self._steps else "")
             + f"; each episode, the first by step {first_end:,}, will be a line of {self._out / PROGRESS}",
             file=sys.stderr,
         )
+        progress.reset(total=end)
+        progress.initial = progress.n = self.num_timesteps
 
     def _on_step(self) -> bool:
         ended = [info for info in self.locals["infos"] if "episode" in info]
@@ -212,7 +213,7 @@ class _Bookkeeper(BaseCallback):
     def _write_line(self, values: Sequence[Any]) -> None:
         assert self._file is not None
         try:
-            csv.writer(self._file).writerow(values)
+            csv.writer(self._file, lineterminator="\n").writerow(values)
         except OSError as error:  # a full disk, say, of which the file doesn't know its name
             raise OSError(error.errno, error.strerror, str(self._out / PROGRESS)) from error
 
@@ -222,10 +223,12 @@ class _Bookkeeper(BaseCallback):
 
 
 def _open_episodes(path: Path, steps: int) -> TextIO:
-    """Open the file of episodes to append to it, cut back to those that had ended by step `steps`."""
+    """Open the file of episodes to append to it, cut back to the episodes that had ended by step `steps`."""
     kept: list[str] = []
     if steps and path.exists():
-        lines = path.read_text(encoding="utf-8").splitlines(keepends=True)[1:]
-        kept = [line for line in lines if line.split(",")[0].isdecimal() and int(line.split(",")[0]) <= steps]
-    write_text_atomically(path, ",".join(["steps", *PROGRESS_COLUMNS]) + "\r\n" + "".join(kept))
+        for line in path.read_text(encoding="utf-8").splitlines(keepends=True)[1:]:
+            step = line.split(",")[0]
+            if step.isdecimal() and int(step) <= steps and line.endswith("\n"):  # the last line may be cut off
+                kept.append(line)
+    write_text_atomically(path, ",".join(["steps", *PROGRESS_COLUMNS]) + "\n" + "".join(kept))
     return path.open("a", newline="", encoding="utf-8", buffering=1)  # whole lines at once

@@ -42,6 +42,7 @@ class CyclicLoopVecEnv(VecEnv):
     def __init__(self, num_envs: int = 1, **settings: Any) -> None:
         self.env = CyclicLoopVectorEnv(num_envs, autoreset_mode="SAME_STEP", **settings)
         super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
+        self.metadata = self.env.metadata  # videos take their frames per second from it
         self._actions: np.ndarray | None = None
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)

@@ -9,38 +9,38 @@ import numpy as np
 
 from cyclic_env.jit import compiled
 
-JOINTS = 16
+MAX_NEIGHBORS = 16
 """Most places that one can be joined to; more add no new ways."""
 CAPACITY = 256
 """Keyframes that there is room for at first."""
 
 
 @compiled
-def join(joints, degrees, i, j):
+def connect(neighbors, degrees, i, j):
     """Join places i and j, unless they are joined or have no joint left."""
-    if i == j or degrees[i] >= joints.shape[1] or degrees[j] >= joints.shape[1]:
+    if i == j or degrees[i] >= neighbors.shape[1] or degrees[j] >= neighbors.shape[1]:
         return
     for k in range(degrees[i]):
-        if joints[i, k] == j:
+        if neighbors[i, k] == j:
             return
-    joints[i, degrees[i]] = j
-    joints[j, degrees[j]] = i
+    neighbors[i, degrees[i]] = j
+    neighbors[j, degrees[j]] = i
     degrees[i] += 1
     degrees[j] += 1
 
 
 @compiled
-def shortest_ways(joints, degrees, poses, source, lengths, before, queue, waiting):
-    """Write the lengths of the shortest ways from a place to all into `lengths` `(n,)`, metres; inf where none leads.
+def shortest_paths(neighbors, degrees, poses, source, distances, predecessors, queue, waiting):
+    """Write the lengths of the shortest ways from a place to all into `distances` `(n,)`, metres; inf where none leads.
 
-    `before` `(n,)` becomes the place before each on its way, -1 at the source; `queue` and `waiting` are scratch.
+    `predecessors` `(n,)` becomes the place before each on its way, -1 at the source; `queue` and `waiting` are scratch.
     """
-    n = lengths.shape[0]
+    n = distances.shape[0]
     for i in range(n):
-        lengths[i] = math.inf
-        before[i] = -1
+        distances[i] = math.inf
+        predecessors[i] = -1
         waiting[i] = False
-    lengths[source] = 0.0
+    distances[source] = 0.0
     queue[0], head, count = source, 0, 1
     # Label correcting with a queue: the graph is a few long chains, so few labels are corrected twice.
     while count > 0:
@@ -49,12 +49,12 @@ def shortest_ways(joints, degrees, poses, source, lengths, before, queue, waitin
         count -= 1
         waiting[i] = False
         for k in range(degrees[i]):
-            j = joints[i, k]
+            j = neighbors[i, k]
             dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
-            length = lengths[i] + math.sqrt(dx * dx + dy * dy) + 1e-6
-            if length < lengths[j]:
-                lengths[j] = length
-                before[j] = i
+            length = distances[i] + math.sqrt(dx * dx + dy * dy) + 1e-6
+            if length < distances[j]:
+                distances[j] = length
+                predecessors[j] = i
                 if not waiting[j]:
                     queue[(head + count) % n] = j
                     count += 1
@@ -76,10 +76,10 @@ class Keyframes:
     odometry : (n, 2) float64
         Where dead reckoning alone would put it.
     scan : (n, beams) float64
-    ends : (n, beams) float64
-        Those of the scan that are on walls as measured; see `sound_ends`.
+    endpoints : (n, beams) float64
+        Those of the scan that are on walls as measured; see `reliable_endpoints`.
     lines : (n, beams, 3) float64
-        Of the walls at these ends; see `wall_lines`.
+        Of the walls at these ends; see `fit_wall_lines`.
     features : (n, 2, sectors) float64
         Ahead and back; see `sector_features`.
     compass : (n,) float64
@@ -92,7 +92,7 @@ class Keyframes:
     pose: np.ndarray
     odometry: np.ndarray
     scan: np.ndarray
-    ends: np.ndarray
+    endpoints: np.ndarray
     lines: np.ndarray
     features: np.ndarray
     compass: np.ndarray
@@ -100,7 +100,7 @@ class Keyframes:
     group: np.ndarray
     step: np.ndarray
     path: np.ndarray
-    joints: np.ndarray
+    neighbors: np.ndarray
     degrees: np.ndarray
     queue: np.ndarray
     waiting: np.ndarray
@@ -111,7 +111,7 @@ class Keyframes:
             "pose": np.zeros((CAPACITY, 3)),
             "odometry": np.zeros((CAPACITY, 2)),
             "scan": np.zeros((CAPACITY, beams)),
-            "ends": np.zeros((CAPACITY, beams)),
+            "endpoints": np.zeros((CAPACITY, beams)),
             "lines": np.zeros((CAPACITY, beams, 3)),
             "features": np.zeros((CAPACITY, 2, sectors)),
             "compass": np.zeros(CAPACITY),
@@ -119,7 +119,7 @@ class Keyframes:
             "group": np.zeros(CAPACITY, np.int64),
             "step": np.zeros(CAPACITY, np.int64),
             "path": np.zeros(CAPACITY),
-            "joints": np.zeros((CAPACITY, JOINTS), np.int64),
+            "neighbors": np.zeros((CAPACITY, MAX_NEIGHBORS), np.int64),
             "degrees": np.zeros(CAPACITY, np.int64),
             "queue": np.zeros(CAPACITY, np.int64),
             "waiting": np.zeros(CAPACITY, np.bool_),
@@ -140,23 +140,25 @@ class Keyframes:
         for name, value in values.items():
             getattr(self, name)[-1] = value
         if self.count > 1:
-            self.join(self.count - 2, self.count - 1)
+            self.connect(self.count - 2, self.count - 1)
         return self.count - 1
 
-    def join(self, i: int, j: int) -> None:
+    def connect(self, i: int, j: int) -> None:
         """Let ways lead between two places."""
-        join(self.joints, self.degrees, i, j)
+        connect(self.neighbors, self.degrees, i, j)
 
-    def ways_from(self, source: int) -> tuple[np.ndarray, np.ndarray]:
+    def geodesic_distances(self, source: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the lengths `(n,)` of the shortest ways to all places, metres, and the place before each, `(n,)`."""
-        lengths, before = np.empty(self.count), np.empty(self.count, np.int64)
-        shortest_ways(self.joints, self.degrees, self.pose, source, lengths, before, self.queue, self.waiting)
-        return lengths, before
+        distances, predecessors = np.empty(self.count), np.empty(self.count, np.int64)
+        shortest_paths(
+            self.neighbors, self.degrees, self.pose, source, distances, predecessors, self.queue, self.waiting
+        )
+        return distances, predecessors
 
 
-def route(before: np.ndarray, target: int) -> list[int]:
+def route(predecessors: np.ndarray, target: int) -> list[int]:
     """Return the places on the way to `target`, the source first."""
     places = [target]
-    while before[places[-1]] >= 0:
-        places.append(int(before[places[-1]]))
+    while predecessors[places[-1]] >= 0:
+        places.append(int(predecessors[places[-1]]))
     return places[::-1]

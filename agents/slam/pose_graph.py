@@ -16,9 +16,9 @@ SMALL_STEP = 1e-3
 """Metres and radians; a smaller step ends the rounds."""
 
 
-def optimise(
+def optimize(
     poses: np.ndarray,
-    ends: np.ndarray,
+    edges: np.ndarray,
     measured: np.ndarray,
     information: np.ndarray,
     headings: np.ndarray,
@@ -30,7 +30,7 @@ def optimise(
     ----------
     poses : (n, 3)
         As they are: where the rounds begin.
-    ends : (m, 2) int
+    edges : (m, 2) int
         The two poses of each measured edge.
     measured : (m, 3)
         The second pose of each edge in the frame of the first.
@@ -45,12 +45,12 @@ def optimise(
     """
     poses = poses.copy()
     n = len(poses)
-    i, j = ends.T
+    i, j = edges.T
     for _ in range(ROUNDS):
         cos, sin = np.cos(poses[i, 2]), np.sin(poses[i, 2])
         error = relative(poses[i], poses[j]) - measured
         error[:, 2] = wrap_all(error[:, 2])
-        at_j = np.zeros((len(ends), 3, 3))
+        at_j = np.zeros((len(edges), 3, 3))
         at_j[:, 0, 0], at_j[:, 0, 1], at_j[:, 1, 0], at_j[:, 1, 1], at_j[:, 2, 2] = cos, sin, -sin, cos, 1
         at_i = -at_j
         dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]

@@ -32,7 +32,7 @@ FIT_ERROR = 0.06
 
 
 @compiled
-def wall_lines(ranges, range_max, lines):
+def fit_wall_lines(ranges, range_max, lines):
     """Write into `lines` `(beams, 3)` the walls at the beams' ends: unit normal and offset, in the frame of the scan.
 
     A point (x, y) is on a wall (nx, ny, offset) where nx x + ny y = offset. Lines are fitted to each end and as many of
@@ -81,7 +81,7 @@ def align(reference, lines, ranges, range_max, prior, spread, pose, hessian):
     Parameters
     ----------
     reference, lines : (beams,) and (beams, 3)
-        The reference scan and its `wall_lines`.
+        The reference scan and its `fit_wall_lines`.
     ranges : (beams,)
         The scan to be matched.
     prior : (3,)
@@ -189,7 +189,7 @@ def align(reference, lines, ranges, range_max, prior, spread, pose, hessian):
 
 
 @compiled
-def agreement(reference, ranges, range_max, pose, tolerance):
+def inlier_ratio(reference, ranges, range_max, pose, tolerance):
     """Return the share of a scan's ends that lie where the reference scan has its own, and how many these are.
 
     An end beyond the reference's own end on that bearing is hidden from it and counts for nothing; one well before it
@@ -220,30 +220,30 @@ def agreement(reference, ranges, range_max, pose, tolerance):
 class Match:
     """A scan matched with that of a place."""
 
-    place: int
+    keyframe: int
     pose: np.ndarray
     """Of the scan, in the frame of the track, `(3,)`."""
     relative: np.ndarray
     """The same in the frame of the place, `(3,)`."""
     information: np.ndarray
     """Inverse covariance of `relative`, `(3, 3)`."""
-    agreement: float
+    inlier_ratio: float
     """Share of ends that agree among those that can be judged, the less of both ways round."""
-    seen: int
+    num_inliers: int
     """Ends that agree, likewise."""
 
     @property
-    def firmness(self) -> float:
+    def min_eigenvalue(self) -> float:
         """How many ends, at least, speak for the position in any direction: few along a plain corridor."""
         a, b, c = self.information[0, 0], self.information[0, 1], self.information[1, 1]
         return SPREAD**2 * (0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b))
 
 
 def match(
-    places: Keyframes,
-    place: int,
+    keyframes: Keyframes,
+    keyframe: int,
     scan: np.ndarray,
-    ends: np.ndarray,
+    endpoints: np.ndarray,
     expected: np.ndarray,
     spread: np.ndarray,
     range_max: float,
@@ -252,25 +252,25 @@ def match(
 
     Parameters
     ----------
-    places : Keyframes
-    place : int
-    scan, ends : (beams,)
-        The scan, and its `sound_ends`.
+    keyframes : Keyframes
+    keyframe : int
+    scan, endpoints : (beams,)
+        The scan, and its `reliable_endpoints`.
     expected, spread : (3,)
         Where it is expected to have been taken, in the frame of the track, and standard deviations of that.
     range_max : float
     """
-    prior = relative(places.pose[place], expected)
+    prior = relative(keyframes.pose[keyframe], expected)
     pose, hessian = np.empty(3), np.empty((3, 3))
-    reference, lines = places.scan[place], places.lines[place]
-    align(reference, lines, ends, range_max, prior, spread, pose, hessian)
-    there, seen = agreement(reference, scan, range_max, pose, TOLERANCE)
-    back, seen_back = agreement(scan, reference, range_max, relative(pose, np.zeros(3)), TOLERANCE)
+    reference, lines = keyframes.scan[keyframe], keyframes.lines[keyframe]
+    align(reference, lines, endpoints, range_max, prior, spread, pose, hessian)
+    there, num_inliers = inlier_ratio(reference, scan, range_max, pose, TOLERANCE)
+    back, num_inliers_back = inlier_ratio(scan, reference, range_max, relative(pose, np.zeros(3)), TOLERANCE)
     return Match(
-        place=int(place),
-        pose=compose(places.pose[place], pose),
+        keyframe=int(keyframe),
+        pose=compose(keyframes.pose[keyframe], pose),
         relative=pose,
         information=hessian / SPREAD**2,
-        agreement=min(there, back),
-        seen=min(seen, seen_back),
+        inlier_ratio=min(there, back),
+        num_inliers=min(num_inliers, num_inliers_back),
     )

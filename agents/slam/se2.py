@@ -31,6 +31,6 @@ def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.stack([x, y, wrap_all(a[..., 2] + b[..., 2])], axis=-1)
 
 
-def distances(points: np.ndarray, point: np.ndarray) -> np.ndarray:
+def euclidean_distances(points: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Return the distances `(n,)` of points or poses `(n, 2+)` from one."""
     return np.hypot(points[:, 0] - point[0], points[:, 1] - point[1])

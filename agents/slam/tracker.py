@@ -7,9 +7,9 @@ import math
 import numpy as np
 
 from agents.slam.keyframes import Keyframes
-from agents.slam.pose_graph import optimise
+from agents.slam.pose_graph import optimize
 from agents.slam.scan_matching import SPREAD, Match, match
-from agents.slam.se2 import compose, distances, relative, wrap
+from agents.slam.se2 import compose, euclidean_distances, relative, wrap
 
 TURN_ERROR = math.radians(0.1)
 """Of the heading that the matching of two scans a metre apart gives: measured in simulation, 0.03 to 0.12 degrees."""
@@ -19,9 +19,9 @@ STEP_SPREAD = np.array([0.05, 0.05, math.radians(4)])
 """Of dead reckoning from one place to the next, metres, metres and radians: what a worn robot does at most."""
 RETURN_SPREAD = np.array([0.3, 0.3, math.radians(5)])
 """Of the track against a place nearby that was left a few places ago."""
-SURE = 0.75
+MIN_INLIER_RATIO = 0.75
 """Share of two scans' ends that agree, from which a match on the way is taken."""
-ENDS = 40
+MIN_INLIERS = 40
 """Ends that both have in sight, at least."""
 MEMORY = 30
 """Keyframes over which the mean agreement of matches on the way is taken, and the mean error of the compass's turns."""
@@ -35,9 +35,9 @@ SCALE_SPREAD, SLIP = 0.03, 0.03
 """Of the distance meter: its scale's deviation from 1 before anything is known, and metres of slip at each metre."""
 SCALE_ENDS, SCALE_DRIVEN, SCALE_TURN = 2.0, 0.5, 0.2
 """A match tells the scale if so many ends speak for the way driven, over so many metres, with few radians turned."""
-SCALE_OFF = 0.02
+SCALE_STEP_MAX = 0.02
 """By which one match may call for another scale, beyond what is not known of it: a few find the way far too short."""
-TENSION = 0.5
+MAX_CORRECTION = 0.5
 """Metres by which returns have pulled at the track before it is spread over the places in between."""
 
 
@@ -60,7 +60,7 @@ class PoseTracker:
         Metres driven, forward and back.
     scale : float
         Metres driven for each that the distance meter shows, as the scans have it.
-    agreement : float
+    inlier_ratio : float
         Mean of the latest matches on the way: how well two scans agree with this laser, in this building.
     edges : list
         Measured relations of places: (i, j, pose of j in i's frame `(3,)`, information `(3, 3)`).
@@ -73,13 +73,13 @@ class PoseTracker:
         self.odometry = np.zeros(2)
         self.path = 0.0
         self.scale = 1.0
-        self.agreement = 1.0
+        self.inlier_ratio = 1.0
         self.edges: list[tuple[int, int, np.ndarray, np.ndarray]] = []
         self._distance = 0.0
         self._compass: float | None = None
         self._bias = 0.0  # of the compass, as the scans have it
-        self._wander = 0.0  # mean squared error of its turns from place to place
-        self._tension = np.zeros(2)
+        self._compass_variance = 0.0  # mean squared error of its turns from place to place
+        self._accumulated_correction = np.zeros(2)
         self._scale_information = SCALE_SPREAD**-2
 
     @property
@@ -90,12 +90,12 @@ class PoseTracker:
     @property
     def heading_information(self) -> float:
         """Inverse variance of the compass's readings at the places, as the graph takes it."""
-        return 1 / max(FIELD_REACH * self._wander, TURN_ERROR**2)
+        return 1 / max(FIELD_REACH * self._compass_variance, TURN_ERROR**2)
 
     @property
     def drift(self) -> float:
         """Metres that the track may be off for every metre of way between two places."""
-        return DRIFT * math.sqrt(self._wander)
+        return DRIFT * math.sqrt(self._compass_variance)
 
     def advance(self, distance: float, compass: np.ndarray) -> None:
         """Take a reading of the distance meter and of the compass `(2,)`."""
@@ -111,45 +111,45 @@ class PoseTracker:
         self.pose[2] = wrap(heading + self._bias)
         self.path += abs(driven)
 
-    def localise(self, places: Keyframes, scan: np.ndarray, ends: np.ndarray, lengths: np.ndarray) -> None:
+    def localize(self, keyframes: Keyframes, scan: np.ndarray, endpoints: np.ndarray, geodesic_m: np.ndarray) -> None:
         """Match a scan with the oldest place close by, or the last one, before the robot's place is added.
 
         Parameters
         ----------
-        places : Keyframes
-        scan, ends : (beams,)
-            The scan, and its `sound_ends`.
-        lengths : (n,)
+        keyframes : Keyframes
+        scan, endpoints : (beams,)
+            The scan, and its `reliable_endpoints`.
+        geodesic_m : (n,)
             Of the ways from the last place, metres.
         """
-        last = places.count - 1
+        last = keyframes.count - 1
         if last < 0 or not self.match_scans:
             return
         expected = self.pose.copy()
-        odometry = relative(places.pose[last], expected)
-        known = np.flatnonzero((distances(places.pose, expected) < 2.0) & (lengths < 8.0))
+        odometry = relative(keyframes.pose[last], expected)
+        known = np.flatnonzero((euclidean_distances(keyframes.pose, expected) < 2.0) & (geodesic_m < 8.0))
         if len(known) and known[0] < last - 4:
-            found = match(places, known[0], scan, ends, expected, RETURN_SPREAD, self.range_max)
+            found = match(keyframes, known[0], scan, endpoints, expected, RETURN_SPREAD, self.range_max)
             if self._fits(found):
-                self._add_edge(last, places.count, odometry, np.diag(STEP_SPREAD**-2))
-                self._add_edge(known[0], places.count, found.relative, found.information)
-                self._tension += found.pose[:2] - expected[:2]
+                self._add_edge(last, keyframes.count, odometry, np.diag(STEP_SPREAD**-2))
+                self._add_edge(known[0], keyframes.count, found.relative, found.information)
+                self._accumulated_correction += found.pose[:2] - expected[:2]
                 self._move(found.pose)
                 return
-        found = match(places, last, scan, ends, expected, STEP_SPREAD, self.range_max)
-        self.agreement += (found.agreement - self.agreement) / min(MEMORY, last + 1)
+        found = match(keyframes, last, scan, endpoints, expected, STEP_SPREAD, self.range_max)
+        self.inlier_ratio += (found.inlier_ratio - self.inlier_ratio) / min(MEMORY, last + 1)
         if self._fits(found):
-            turned = wrap(self.compass - places.compass[last] - found.relative[2])
-            self._wander += (turned**2 - self._wander) / min(MEMORY, last + 1)
+            turned = wrap(self.compass - keyframes.compass[last] - found.relative[2])
+            self._compass_variance += (turned**2 - self._compass_variance) / min(MEMORY, last + 1)
             # The compass has no drift, the scans' headings drift but little: a Kalman gain holds them together.
             self._learn_scale(odometry, found)
-            gain = TURN_ERROR**2 / (TURN_ERROR**2 + self._wander)
+            gain = TURN_ERROR**2 / (TURN_ERROR**2 + self._compass_variance)
             found.pose[2] = wrap(found.pose[2] + gain * wrap(self.compass - found.pose[2]))
             self._move(found.pose)
-            odometry = relative(places.pose[last], found.pose)
-            self._add_edge(last, places.count, odometry, found.information + np.diag(STEP_SPREAD**-2))
+            odometry = relative(keyframes.pose[last], found.pose)
+            self._add_edge(last, keyframes.count, odometry, found.information + np.diag(STEP_SPREAD**-2))
         else:
-            self._add_edge(last, places.count, odometry, np.diag(STEP_SPREAD**-2))
+            self._add_edge(last, keyframes.count, odometry, np.diag(STEP_SPREAD**-2))
 
     def _learn_scale(self, odometry: np.ndarray, found: Match) -> None:
         """Weigh what a match with the last place says of the distance meter's scale; see `SCALE_SPREAD`."""
@@ -164,14 +164,14 @@ class PoseTracker:
         if variance > SPREAD**2 / SCALE_ENDS:
             return
         information = (driven / self.scale) ** 2 / (variance + SHIFT_ERROR**2 + SLIP**2 * driven)
-        off = self.scale * (along @ free) / driven - self.scale
-        most = math.sqrt(SCALE_OFF**2 + 1 / self._scale_information)
+        error_m = self.scale * (along @ free) / driven - self.scale
+        most = math.sqrt(SCALE_STEP_MAX**2 + 1 / self._scale_information)
         self._scale_information += information
-        self.scale += information / self._scale_information * max(-most, min(most, off))
+        self.scale += information / self._scale_information * max(-most, min(most, error_m))
 
     def _fits(self, found: Match) -> bool:
-        off = math.hypot(*(found.pose[:2] - self.pose[:2]))
-        return found.agreement > SURE and found.seen > ENDS and off < 1.0
+        error_m = math.hypot(*(found.pose[:2] - self.pose[:2]))
+        return found.inlier_ratio > MIN_INLIER_RATIO and found.num_inliers > MIN_INLIERS and error_m < 1.0
 
     def _move(self, pose: np.ndarray) -> None:
         self._bias = wrap(self._bias + LAG * wrap(pose[2] - self.pose[2]))
@@ -182,26 +182,26 @@ class PoseTracker:
         covariance = np.linalg.inv(information + 1e-6 * np.eye(3)) + floor
         self.edges.append((int(i), int(j), measured, np.linalg.inv(covariance)))
 
-    def close(self, places: Keyframes, found: Match) -> None:
+    def add_loop_closure(self, keyframes: Keyframes, found: Match) -> None:
         """Take it that the last place is at a known one as a match says, and mend all places and the pose."""
-        self._add_edge(found.place, places.count - 1, found.relative, found.information)
-        self._mend(places)
+        self._add_edge(found.keyframe, keyframes.count - 1, found.relative, found.information)
+        self._optimize(keyframes)
 
-    def relax(self, places: Keyframes) -> None:
+    def relax(self, keyframes: Keyframes) -> None:
         """Mend all places and the pose, if returns have pulled at the track since that was done last."""
-        if math.hypot(*self._tension) > TENSION:
-            self._mend(places)
+        if math.hypot(*self._accumulated_correction) > MAX_CORRECTION:
+            self._optimize(keyframes)
 
-    def _mend(self, places: Keyframes) -> None:
-        last = places.pose[-1].copy()
-        places.pose[:] = optimise(
-            places.pose,
+    def _optimize(self, keyframes: Keyframes) -> None:
+        last = keyframes.pose[-1].copy()
+        keyframes.pose[:] = optimize(
+            keyframes.pose,
             np.array([(i, j) for i, j, _, _ in self.edges]),
             np.array([measured for _, _, measured, _ in self.edges]),
             np.array([information for *_, information in self.edges]),
-            places.compass,
-            np.full(places.count, self.heading_information),
+            keyframes.compass,
+            np.full(keyframes.count, self.heading_information),
         )
-        self.pose = compose(places.pose[-1], relative(last, self.pose))
-        self._bias = wrap(self._bias + places.pose[-1, 2] - last[2])
-        self._tension = np.zeros(2)
+        self.pose = compose(keyframes.pose[-1], relative(last, self.pose))
+        self._bias = wrap(self._bias + keyframes.pose[-1, 2] - last[2])
+        self._accumulated_correction = np.zeros(2)

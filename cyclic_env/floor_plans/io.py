@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +13,7 @@ import yaml
 from cyclic_env.atomic_write import write_text_atomically
 from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
-from cyclic_env.floor_plans.occupancy.grid import IMAGE_SUFFIXES, occupancy_grid_from_mapping
+from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES, occupancy_grid_from_mapping
 from cyclic_env.floor_plans.occupancy.tracing import trace_floor_plan
 from cyclic_env.floor_plans.yaml_io import (
     as_list,
@@ -31,7 +30,7 @@ KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "cor
 
 
 def read_floor_plan(path: str | Path) -> FloorPlan:
-    """Read a floor plan from a YAML file: one of ours, or a map of ROS' ``map_server``, which has a key ``image``.
+    """Read a floor plan from a YAML file: a plan, or a map of ROS' ``map_server``, which has a key ``image``.
 
     A map is traced with the defaults of `trace_floor_plan`.
 
@@ -40,7 +39,7 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
     FloorPlanError
         Naming the file and the key, if the file can't be read or does not follow the format.
     """
-    path = _checked_path(path)
+    path = Path(path)
     if path.suffix.lower() in IMAGE_SUFFIXES:
         raise FloorPlanError(
             f"{path}: a picture does not say how large a pixel is; name a YAML file with the keys image, resolution "
@@ -57,14 +56,8 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
         raise FloorPlanError(f"{path}: {error}") from error
 
 
-def _checked_path(path: object) -> Path:
-    if not isinstance(path, str | os.PathLike):
-        raise FloorPlanError(f"the file of a floor plan is a path; got {type(path).__name__}.")
-    return Path(os.fsdecode(path))
-
-
 def floor_plan_from_text(text: str) -> FloorPlan:
-    """Return the floor plan that a text in our YAML format describes.
+    """Return the floor plan that a text in the YAML format describes.
 
     Raises
     ------
@@ -75,25 +68,21 @@ def floor_plan_from_text(text: str) -> FloorPlan:
 
 
 def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
-    """Write a floor plan as YAML rings, to the micrometre.
+    """Write a floor plan as YAML rings, rounded to the micrometre.
 
     Raises
     ------
     FloorPlanError
-        If it is no floor plan, or the file can't be written.
+        If the file can't be written.
     """
-    path = _checked_path(path)
-    if not isinstance(plan, FloorPlan):
-        raise FloorPlanError(f"{path}: what is to be written must be a FloorPlan; got {type(plan).__name__}.")
-    text = floor_plan_to_text(plan, digits=6)
     try:
-        write_text_atomically(path, text)
+        write_text_atomically(path, floor_plan_to_text(plan, digits=6))
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
 
 
 def floor_plan_to_text(plan: FloorPlan, *, digits: int | None = None) -> str:
-    """Return a floor plan as YAML rings, rounded to so many decimals; None keeps every bit."""
+    """Return a floor plan as YAML rings, rounded to `digits` decimals; with None, exactly."""
     rings = plan.rings if digits is None else [np.round(ring, digits) for ring in plan.rings]
     exterior, *holes = (ring.tolist() for ring in rings)
     texts = {key: str(getattr(plan, key)) for key in ("name", "title", "source", "licence")}
@@ -104,7 +93,7 @@ def floor_plan_to_text(plan: FloorPlan, *, digits: int | None = None) -> str:
         "holes": holes,
         "centrelines": [np.asarray(line, dtype=float).tolist() for line in plan.centrelines],
     }
-    # Unescaped, PyYAML reads back the rarer line separators of Unicode as blanks.
+    # PyYAML reads unescaped line separators of Unicode as blanks.
     readable = all(text.isprintable() for text in texts.values())
     return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=readable)
 

@@ -1,4 +1,4 @@
-"""The floor plans that come with the package, and how a map's name or path becomes a plan."""
+"""The floor plans that come with the package, and floor plans by name or path."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ MapName = str | os.PathLike[str] | FloorPlan
 
 @dataclass(frozen=True)
 class PlanPool(Sequence[FloorPlan]):
-    """The floor plans of a pool; the buildings of a split are drawn when they are first asked for.
+    """The floor plans of a pool; the buildings of a split are generated when they are first needed.
 
     Attributes
     ----------
     entries : tuple of FloorPlan or str
-        The plans, and the names of the buildings that are yet to be drawn.
+        The plans, and the names of the buildings that are generated when needed.
     """
 
     entries: tuple[FloorPlan | str, ...]
@@ -38,7 +38,7 @@ class PlanPool(Sequence[FloorPlan]):
 
     @property
     def loaded(self) -> dict[int, FloorPlan]:
-        """The plans that need not be drawn, by their places in the pool."""
+        """The plans that need not be generated, by their index in the pool."""
         return {i: entry for i, entry in enumerate(self.entries) if isinstance(entry, FloorPlan)}
 
     def __len__(self) -> int:
@@ -53,7 +53,7 @@ class PlanPool(Sequence[FloorPlan]):
 
 
 def maps_folder() -> Path:
-    """Return the folder of the shipped plans: inside the installed package, or beside it in a checkout."""
+    """Return the folder of the shipped plans, which is in the installed package, or next to it in a checkout."""
     package = Path(__file__).resolve().parents[1]
     for folder in (package / "maps", package.parent / "maps"):
         if (folder / "killian_court.yaml").is_file():
@@ -74,13 +74,13 @@ def _shipped(name: str) -> FloorPlan:
 
 
 def load_floor_plan(map_name: MapName) -> FloorPlan:
-    """Return the floor plan of a shipped name, a generated building's name, or a YAML file (ours or ROS'); or the plan.
+    """Return the floor plan with a name (shipped or generated) or in a YAML file; a plan is returned as it is.
 
     Raises
     ------
     FloorPlanError
-        If the name is unknown (the message has the nearest), the file is missing or malformed, or there can be no such
-        building.
+        If the name is unknown (the message names the nearest), the file is missing or malformed, or there can be no
+        such building.
     """
     if isinstance(map_name, FloorPlan):
         return map_name
@@ -105,7 +105,7 @@ def load_floor_plan(map_name: MapName) -> FloorPlan:
 
 
 def load_floor_plans(map_name: MapName | Sequence[MapName]) -> PlanPool:
-    """Return the pool of one map or of several, or the pool; the name of a split stands for all of its buildings.
+    """Return the pool of one map or several; the name of a split stands for all of its buildings.
 
     Raises
     ------
@@ -128,5 +128,5 @@ def load_floor_plans(map_name: MapName | Sequence[MapName]) -> PlanPool:
 
 
 def separate_names(text: str) -> list[str]:
-    """Return the maps' names of a text that has commas between them; a generated building's name keeps its own."""
+    """Split a text at the commas between the names of maps, but not at those inside the name of a building."""
     return re.split(r",(?!\w+=)", text)

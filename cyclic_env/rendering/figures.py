@@ -1,7 +1,7 @@
-"""Record to figure: a floor plan, and what was driven, remembered and claimed in it, fit for a paper.
+"""Figures for papers: a floor plan, and the path and claims of a run in it.
 
-Every function draws one thing into axes that `plan_figure` has made, in metres, and gives it a line in the legend. They
-know no agent, and need the extra ``plot``.
+`plan_figure` makes the axes, in metres. Every other function draws one thing into them and adds it to the legend. The
+module needs the extra ``plot``.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy as np
 
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.rendering.colors import AMBER, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SOLID, WALL, WRONG, Colour
+from cyclic_env.rendering.colors import AMBER, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SOLID, WALL, WRONG, Color
 
 try:
     from matplotlib.axes import Axes
@@ -30,19 +30,19 @@ except ImportError as error:
     raise ConfigError('figures need matplotlib, which is missing; pip install "cyclic-loop[plot]".') from error
 
 WIDTH, HEIGHT_MAX = 10.0, 9.0
-"""Inches; of a figure, and of its axes at most."""
+"""Width of a figure and greatest height of its axes, inches."""
 ABOVE, BELOW, LEFT, RIGHT_OF = 0.62, 0.95, 0.55, 0.12
-"""Inches around the axes: for the title, the legend, the metres, and nothing."""
+"""Inches around the axes: for the title, the legend, the labels in metres, and an empty margin."""
 MARGIN = 0.03
-"""Around the building, as a share of its longer side."""
+"""Margin around the building, as a share of its longer side."""
 LEGEND_COLUMNS_MAX = 6
 SHEET_COLUMNS_MAX = 8
-SCALE = 10.0
-"""Metres; of the scale below each building of a contact sheet."""
-GRAIN = 0.2
-"""Metres between the points of the drawn path."""
+SCALE_BAR = 10.0
+"""Length of the scale bar below each building of a contact sheet, metres."""
+PATH_SPACING = 0.2
+"""Metres between the drawn points of a path."""
 POINTS = 72.0
-"""In an inch."""
+"""Points per inch."""
 DISC = 9.0
 """Points across a numbered disc; discs that would overlap are moved apart, and have lines to their places."""
 SPREAD_ROUNDS = 200
@@ -50,13 +50,13 @@ LABELS_APART = 16.0
 """Points between the names of two groups at least; else the shorter group goes without."""
 
 COMPASS = ("north", "east", "south", "west")
-COMPASS_COLOURS: tuple[Colour, ...] = ((60, 160, 205), (226, 120, 10), (125, 85, 55), (140, 80, 165))
+COMPASS_COLOURS: tuple[Color, ...] = ((60, 160, 205), (226, 120, 10), (125, 85, 55), (140, 80, 165))
 ASIDE = np.array([(1.0, 0.0), (0.0, -1.0), (-1.0, 0.0), (0.0, 1.0)])
 """To the right of each direction, east and north: there its labels go, so that those of a way back go elsewhere."""
 LABEL_AFTER = 0.035
 """Length from which a group has its name beside it, as a share of the building's longer side."""
 
-AREA_STYLES: dict[str, tuple[Colour, Colour, Colour]] = {
+AREA_STYLES: dict[str, tuple[Color, Color, Color]] = {
     "visited": (INK, INK, FLOOR),
     "struck off": (FLOOR, FAINT, INK),
     "open": (AMBER, INK, INK),
@@ -66,17 +66,17 @@ AREA_STYLES: dict[str, tuple[Colour, Colour, Colour]] = {
 
 
 def check_figure(path: FilePath) -> None:
-    """Check, before the work, that a figure's file has a suffix that says its format.
+    """Check, before the work, that the suffix of a figure's file is a known format.
 
     Raises
     ------
     ConfigError
-        If it has not.
+        If it is not.
     """
     known = FigureCanvasBase.get_supported_filetypes()
     if path.suffix.lower().removeprefix(".") not in known:
         raise ConfigError(
-            f"{path}: a figure's name ends with one of: {', '.join(f'.{name}' for name in sorted(known))}."
+            f"{path}: a figure's name must end with one of: {', '.join(f'.{name}' for name in sorted(known))}."
         )
 
 
@@ -87,7 +87,7 @@ def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, 
     ----------
     plan : FloorPlan
     title, scores : str
-        The two lines above the building.
+        Two lines above the building.
     """
     west, south, east, north = plan.bounds
     margin = MARGIN * max(east - west, north - south)
@@ -105,28 +105,28 @@ def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, 
         spine.set_edgecolor(_rgb(FAINT))
         spine.set_linewidth(0.5)
     _draw_building(axes, plan, linewidth=0.7)
-    above = {"color": _rgb(INK), "va": "center", "parse_math": False}  # a dollar is one
+    above = {"color": _rgb(INK), "va": "center", "parse_math": False}  # a dollar sign stays one
     figure.text(LEFT / WIDTH, 1 - 0.2 / total, title, fontsize=11, fontweight="bold", **above)
     figure.text(LEFT / WIDTH, 1 - 0.42 / total, scores, fontsize=8.5, **above)
     return figure, axes
 
 
-def contact_sheet(plans: Sequence[FloorPlan], captions: Sequence[str], places: Sequence[np.ndarray]) -> Figure:
-    """Return a figure of small pictures of several buildings, each as large as its cell allows, with a scale of 10 m.
+def contact_sheet(plans: Sequence[FloorPlan], captions: Sequence[str], marked: Sequence[np.ndarray]) -> Figure:
+    """Return a figure with small pictures of several buildings, each with a scale bar.
 
     Parameters
     ----------
     plans : sequence of FloorPlan
     captions : sequence of str
-        Lines above each building.
-    places : sequence of (n, 2) arrays
-        Points to be marked in each, metres.
+        Text above each building.
+    marked : sequence of (n, 2) arrays
+        Positions to mark in each, metres.
     """
     columns = min(math.ceil(math.sqrt(len(plans))), SHEET_COLUMNS_MAX)
     rows = math.ceil(len(plans) / columns)
     cell = WIDTH / columns
     figure = Figure((WIDTH, rows * cell), layout="constrained", facecolor=_rgb(SOLID))
-    for i, (plan, caption, points) in enumerate(zip(plans, captions, places, strict=True)):
+    for i, (plan, caption, points) in enumerate(zip(plans, captions, marked, strict=True)):
         axes = figure.add_subplot(rows, columns, i + 1)
         axes.set_axis_off()
         axes.set_aspect("equal")
@@ -134,33 +134,34 @@ def contact_sheet(plans: Sequence[FloorPlan], captions: Sequence[str], places: S
         axes.scatter(*points.T, s=1.5, color=_rgb(AMBER), linewidths=0, zorder=2)
         axes.autoscale_view()
         west, south, *_ = plan.bounds
-        axes.plot([west, west + SCALE], [south - 4, south - 4], color=_rgb(INK), linewidth=1.2)
-        axes.annotate(f" {SCALE:g} m", (west + SCALE, south - 4), fontsize=5, color=_rgb(INK), va="center")
+        axes.plot([west, west + SCALE_BAR], [south - 4, south - 4], color=_rgb(INK), linewidth=1.2)
+        axes.annotate(f" {SCALE_BAR:g} m", (west + SCALE_BAR, south - 4), fontsize=5, color=_rgb(INK), va="center")
         axes.set_title(caption, fontsize=6, color=_rgb(INK), parse_math=False)
     return figure
 
 
 def draw_path(axes: Axes, trajectory: np.ndarray, *, by_time: bool = True) -> None:
-    """Draw a way, paler the longer ago if `by_time`, and the mark of its start.
+    """Draw a path, its start and its end.
 
     Parameters
     ----------
     axes : Axes
     trajectory : (t + 1, 3)
-        x, y and path length, metres, as of ``env.trajectory()``.
+        x, y and path length, metres, as returned by ``env.trajectory()``.
     by_time : bool
+        Whether to draw earlier parts paler.
     """
     points = _thinned(trajectory)[:, :2]
-    colours = LinearSegmentedColormap.from_list("time", [_rgb(PATH_OLD), _rgb(PATH_NEW)])
+    colors = LinearSegmentedColormap.from_list("time", [_rgb(PATH_OLD), _rgb(PATH_NEW)])
     pieces = np.stack([points[:-1], points[1:]], axis=1)
-    lines = LineCollection(list(pieces), cmap=colours, linewidths=1.3, capstyle="round", zorder=2)
+    lines = LineCollection(list(pieces), cmap=colors, linewidths=1.3, capstyle="round", zorder=2)
     lines.set_array(np.arange(len(pieces)) if by_time else np.ones(len(pieces)))
     axes.add_collection(lines)
     axes.plot([], [], color=_rgb(PATH_NEW), linewidth=1.5, label="path (darker: later)" if by_time else "path")
     start = {"marker": "D", "markersize": 6, "markeredgecolor": _rgb(FLOOR), "markeredgewidth": 0.8}
-    end = {"marker": "s", "markersize": 12, "fillstyle": "none", "markeredgewidth": 1.2}  # around what is marked there
-    for place, style, label in ((points[0], start, "start"), (points[-1], end, "end")):
-        axes.plot(*place, linestyle="", color=_rgb(INK), label=label, zorder=7, **style)
+    end = {"marker": "s", "markersize": 12, "fillstyle": "none", "markeredgewidth": 1.2}  # around any other mark
+    for position, style, label in ((points[0], start, "start"), (points[-1], end, "end")):
+        axes.plot(*position, linestyle="", color=_rgb(INK), label=label, zorder=7, **style)
 
 
 def draw_groups(axes: Axes, groups: Sequence[tuple[str, int, np.ndarray]]) -> None:
@@ -196,40 +197,40 @@ def draw_groups(axes: Axes, groups: Sequence[tuple[str, int, np.ndarray]]) -> No
 
 
 def draw_claims(axes: Axes, trajectory: np.ndarray, claims: np.ndarray) -> None:
-    """Draw judged claims where they were made, with lines to the places that they named.
+    """Draw judged claims where they were made, with lines to the positions that they named.
 
-    Right ones are green, those that closed a cycle larger and numbered; false ones are red crosses.
+    Correct claims are green; those that closed a cycle are larger and numbered. False claims are red crosses.
 
     Parameters
     ----------
     axes : Axes
     trajectory : (t + 1, 3)
-        As of ``env.trajectory()``.
+        As returned by ``env.trajectory()``.
     claims : (n,) CLAIM
-        As of ``env.claims()``.
+        As returned by ``env.claims()``.
     """
-    places, named = trajectory[claims["step"], :2], trajectory[np.maximum(claims["match"], 0), :2]
+    made, named = trajectory[claims["step"], :2], trajectory[np.maximum(claims["match"], 0), :2]
     correct, closing = claims["correct"], claims["new_cycle"]
-    for kind, colour, marker, size, label, zorder in (
-        (correct & ~closing, RIGHT, "o", 4.0, "right claim", 3.6),
+    for kind, color, marker, size, label, zorder in (
+        (correct & ~closing, RIGHT, "o", 4.0, "correct claim", 3.6),
         (~correct, WRONG, "X", 6.5, "false claim", 6.0),
         (closing, RIGHT, "o", 10.0, "closes a cycle", 6.2),
     ):
         if not kind.any():
             continue
-        there = kind & (claims["match"] >= 0)
-        lines = np.stack([places[there], named[there]], axis=1)
-        axes.add_collection(LineCollection(list(lines), colors=[_rgb(colour)], linewidths=1.0, zorder=zorder - 0.2))
+        linked = kind & (claims["match"] >= 0)
+        lines = np.stack([made[linked], named[linked]], axis=1)
+        axes.add_collection(LineCollection(list(lines), colors=[_rgb(color)], linewidths=1.0, zorder=zorder - 0.2))
         ring = {"marker": "o", "markersize": 2.5, "markerfacecolor": _rgb(FLOOR), "markeredgewidth": 0.7}
-        axes.plot(*named[there].T, linestyle="", color=_rgb(colour), zorder=zorder - 0.1, **ring)
+        axes.plot(*named[linked].T, linestyle="", color=_rgb(color), zorder=zorder - 0.1, **ring)
         style = {"marker": marker, "markersize": size, "markeredgecolor": _rgb(FLOOR), "markeredgewidth": 0.6}
         label = f"{label} ({np.count_nonzero(kind)})"
-        axes.plot(*places[kind].T, linestyle="", color=_rgb(colour), label=label, zorder=zorder, **style)
+        axes.plot(*made[kind].T, linestyle="", color=_rgb(color), label=label, zorder=zorder, **style)
     if (claims["match"] >= 0).any():
         line = {"marker": "o", "markersize": 3.0, "markerfacecolor": _rgb(FLOOR), "markeredgewidth": 0.7}
         axes.plot([], [], color=_rgb(FAINT), linewidth=1.0, label="claim to match", **line)
-    for number, place in enumerate(places[closing], 1):
-        _write(axes, str(number), place, FLOOR, 6.5, 6.5)
+    for number, position in enumerate(made[closing], 1):
+        _write(axes, str(number), position, FLOOR, 6.5, 6.5)
 
 
 def draw_open_areas(axes: Axes, positions: np.ndarray, numbers: Sequence[int], states: Sequence[str]) -> None:
@@ -258,7 +259,7 @@ def draw_open_areas(axes: Axes, positions: np.ndarray, numbers: Sequence[int], s
 
 
 def add_legend(axes: Axes) -> None:
-    """Put a legend of all that has been drawn below the building."""
+    """Add a legend of everything drawn so far, below the building."""
     figure = axes.figure
     entries = axes.get_legend_handles_labels()
     rows = math.ceil(len(entries[1]) / LEGEND_COLUMNS_MAX)
@@ -267,8 +268,8 @@ def add_legend(axes: Axes) -> None:
 
 
 def _thinned(trajectory: np.ndarray) -> np.ndarray:
-    """Return the points of a way that are `GRAIN` apart, the first and the last among them."""
-    passed = np.floor(trajectory[:, 2] / GRAIN)
+    """Return the points of a trajectory at every `PATH_SPACING`, and the last one."""
+    passed = np.floor(trajectory[:, 2] / PATH_SPACING)
     return trajectory[np.append(np.flatnonzero(np.diff(passed, prepend=-1.0)), len(trajectory) - 1)]
 
 
@@ -294,7 +295,7 @@ def _to_points(axes: Axes, positions: np.ndarray) -> np.ndarray:
     return axes.transData.transform(positions) / axes.figure.dpi * POINTS
 
 
-def _write(axes: Axes, text: str, position: np.ndarray, colour: Colour, size: float, zorder: float) -> None:
+def _write(axes: Axes, text: str, position: np.ndarray, colour: Color, size: float, zorder: float) -> None:
     axes.text(
         position[0],
         position[1],
@@ -314,6 +315,6 @@ def _draw_building(axes: Axes, plan: FloorPlan, linewidth: float) -> None:
     axes.add_patch(PathPatch(outline, facecolor=_rgb(FLOOR), edgecolor=_rgb(WALL), linewidth=linewidth, zorder=1))
 
 
-def _rgb(colour: Colour) -> tuple[float, float, float]:
+def _rgb(colour: Color) -> tuple[float, float, float]:
     red, green, blue = colour
     return red / 255, green / 255, blue / 255

@@ -117,14 +117,14 @@ def votes(record: RunRecord, measure: str) -> tuple[np.ndarray, np.ndarray, np.n
     distance : (q,)
         One less the similarity.
     """
-    places = Keyframes(1, record.features.shape[2])
+    keyframes = Keyframes(1, record.features.shape[2])
     detector = Detector(preset("paper", measure=measure, sectors=record.features.shape[2]))
     queries, found, distance = [], [], []
     for i in range(len(record.step)):
         direction, group = int(record.direction[i]), int(record.group[i])
         features = record.features[i].astype(np.float64)
-        places.add(features=features, direction=direction, group=group, step=record.step[i], path=record.path[i])
-        rows, similarities = detector.vote(places, np.flatnonzero(places.group != group))
+        keyframes.add(features=features, direction=direction, group=group, step=record.step[i], path=record.path[i])
+        rows, similarities = detector.vote(keyframes, np.flatnonzero(keyframes.group != group))
         if len(rows):
             queries.append(i)
             found.append(int(rows[0]))

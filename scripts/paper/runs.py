@@ -18,7 +18,7 @@ from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.simulation.wall_index import build_wall_index
 from cyclic_env.task.loop_closure import line_of_sight
-from cyclic_env.trajectory.io import ate
+from cyclic_env.trajectory.metrics import ate
 
 RETURNS, ELSEWHERE, NEITHER = 1, 0, -1
 """Of a row and an earlier one: a claim would be right, false, or ignored for want of gap or leave (near, in sight)."""
@@ -129,11 +129,11 @@ def run_explorer(settings: RunSettings) -> RunRecord:
         "tours": None if math.isnan(tour) else info["path_length_m"] / tour,
         "groups": len(memory.groups),
         "group_names": [group.name for group in memory.groups],
-        "rows": memory.places.count,
-        "areas": len(memory.areas.listed),
-        "area_states": [area.state for area in memory.areas.listed],
-        "dead_reckoning_rms_m": _rms(memory.places.odometry, memory.places.step, env.trajectory()),
-        "track_rms_m": _rms(memory.places.pose, memory.places.step, env.trajectory()),
+        "rows": memory.keyframes.count,
+        "areas": len(memory.frontiers.listed),
+        "area_states": [area.state for area in memory.frontiers.listed],
+        "dead_reckoning_rms_m": _rms(memory.keyframes.odometry, memory.keyframes.step, env.trajectory()),
+        "track_rms_m": _rms(memory.keyframes.pose, memory.keyframes.step, env.trajectory()),
     }
     record = _record(env, memory, metrics, np.array(headings))
     env.close()
@@ -146,21 +146,21 @@ def _rms(estimated: np.ndarray, steps: np.ndarray, way: np.ndarray) -> float:
 
 
 def _record(env: CyclicLoopEnv, memory: Memory, metrics: dict[str, Any], headings: np.ndarray) -> RunRecord:
-    places, way = memory.places, env.trajectory()
-    position = way[places.step, :2]
-    areas = [position[area.place] + area.offset for area in memory.areas.listed]
+    keyframes, way = memory.keyframes, env.trajectory()
+    position = way[keyframes.step, :2]
+    areas = [position[area.keyframe] + area.offset for area in memory.frontiers.listed]
     return RunRecord(
         metrics=metrics,
         way=way.astype(np.float32),
         claims=env.claims().copy(),
-        step=places.step.copy(),
-        path=places.path.copy(),
-        heading=headings[places.step],
-        direction=places.direction.astype(np.int8),
-        group=places.group.copy(),
-        features=places.features.astype(np.int16),
-        beams=np.rint(places.scan / BEAM_ROUNDING).astype(np.uint8),
-        truth=closure_truth(env.floor_plan, way, places.step, env.engine.config.closure),
+        step=keyframes.step.copy(),
+        path=keyframes.path.copy(),
+        heading=headings[keyframes.step],
+        direction=keyframes.direction.astype(np.int8),
+        group=keyframes.group.copy(),
+        features=keyframes.features.astype(np.int16),
+        beams=np.rint(keyframes.scan / BEAM_ROUNDING).astype(np.uint8),
+        truth=closure_truth(env.floor_plan, way, keyframes.step, env.engine.config.closure),
         areas=np.array(areas).reshape(-1, 2),
     )
 

@@ -14,7 +14,7 @@ import shapely
 from agents.knn.config import PRESETS, calibrated_thresholds, preset
 from agents.knn.directions import EAST, NORTH, WEST, compass_direction, sector_features
 from agents.knn.explorer import KnnExplorer, Memory
-from agents.knn.loop_detector import Detector, returned
+from agents.knn.loop_detector import Detector, revisit_candidates
 from agents.slam.keyframes import Keyframes
 from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv, FloorPlan
 from cyclic_env.errors import ConfigError
@@ -79,18 +79,18 @@ def test_looking_back_is_what_is_ahead_after_turning_round() -> None:
 
 def test_only_places_that_were_left_and_are_a_way_back_count_as_returned_to() -> None:
     path = np.array([0.0, 5.0, 10.0, 15.0, 20.0, 24.0])
-    assert returned(path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0])).tolist() == [0]
-    assert returned(path, np.array([1.0, 5.0, 9.0, 5.0, 1.0, 0.0])).tolist() == []
-    assert returned(0.8 * path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0])).tolist() == []
+    assert revisit_candidates(path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0])).tolist() == [0]
+    assert revisit_candidates(path, np.array([1.0, 5.0, 9.0, 5.0, 1.0, 0.0])).tolist() == []
+    assert revisit_candidates(0.8 * path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0])).tolist() == []
 
 
 def voted(features: list[list[int]], groups: list[int], query: list[int]) -> int | None:
     """Return the row that the paper's detector finds visited, of rows of one direction in these groups."""
-    places = Keyframes(BEAMS, 3)
+    keyframes = Keyframes(BEAMS, 3)
     for row, (values, group) in enumerate(zip([*features, query], [*groups, 99], strict=True)):
-        places.add(features=np.array([values, values]), group=group, direction=NORTH, step=row)
+        keyframes.add(features=np.array([values, values]), group=group, direction=NORTH, step=row)
     config = preset("paper", sectors=3, measure="euclidean", threshold=0.4)
-    return Detector(config)._by_vote(places).visited
+    return Detector(config)._by_vote(keyframes).visited
 
 
 def test_the_group_with_most_of_the_four_nearest_wins_with_its_nearest_row() -> None:
@@ -129,7 +129,7 @@ def test_it_finds_its_way_with_typical_noise() -> None:
     info, memory = explore("twin_rings", noise="typical", seed=1)
     assert info["coverage"] > 0.95
     assert info["false_claims"] == 0
-    assert len(memory.track.edges) >= memory.places.count - 1
+    assert len(memory.tracker.edges) >= memory.keyframes.count - 1
 
 
 @pytest.mark.parametrize("action_type", ["twist", "discrete"])
@@ -310,7 +310,7 @@ def test_a_distance_meter_need_not_begin_at_zero() -> None:
     observation = {"laser": np.full(BEAMS, 3.0), "distance": np.array([1234.5]), "compass": np.array([1.0, 0.0])}
     _, state = explorer.predict(observation)
     _, state = explorer.predict({**observation, "distance": np.array([1234.7])}, state)
-    np.testing.assert_allclose(state[0].track.pose, (0.2, 0.0, 0.0), atol=1e-9)
+    np.testing.assert_allclose(state[0].tracker.pose, (0.2, 0.0, 0.0), atol=1e-9)
     assert not state[0].trusted_from
 
 

@@ -77,7 +77,7 @@ def test_claims_are_told_apart_and_lead_to_the_places_they_named(axes: Axes) -> 
     claims = np.array([(1, 0, True, False), (2, -1, False, False), (3, 1, False, False), (4, 0, True, True)], CLAIM)
     draw_claims(axes, WAY, claims)
     assert labels(axes) == [
-        "right claim (1)",
+        "correct claim (1)",
         "false claim (2)",
         "closes a cycle (1)",
         "claim to match",
