@@ -9,8 +9,8 @@ from typing import Any
 
 from agents.registry import agent_names, make_agent
 from agents.rl import require_learning
+from cyclic_env import CyclicLoopVectorEnv
 from cyclic_env.config import ActionType, noise_from_name
-from cyclic_env.envs.vector import CyclicLoopVectorEnv
 from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation.rollout import Policy, checked_seeds, evaluate
 from cyclic_env.evaluation.statistics import Evaluation

@@ -1,8 +1,7 @@
-"""All settings, as frozen dataclasses that are checked when they are made.
+"""All settings of an environment: `EnvConfig` and its parts, frozen dataclasses that check their fields.
 
-Lengths are in metres, times in seconds, angles in radians unless a name ends in ``_deg``. Every class
-can be given to the environment as an instance or as a plain mapping of its fields (which is what an
-environment spec holds after a trip through JSON).
+Lengths are in metres, times in seconds, angles in radians unless a name ends in ``_deg``. Wherever one of these classes
+is expected, a mapping of some of its fields will do; the others keep their defaults.
 """
 
 from __future__ import annotations
@@ -10,13 +9,20 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from typing import Any, Literal, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 from cyclic_env.errors import ConfigError
-from cyclic_env.validation import check_choice, check_field, check_integer, check_number, unknown_name
+from cyclic_env.validation import check_bool, check_choice, check_field, check_integer, check_number, unknown_name
 
 ActionType = Literal["wheels", "twist", "discrete"]
-ACTION_TYPES: tuple[ActionType, ...] = ("wheels", "twist", "discrete")
+ACTION_TYPES: tuple[ActionType, ...] = get_args(ActionType)
+
+NoisePreset = Literal["ideal", "calibrated", "typical", "poor"]
+
+STEP_BUDGET_MAX = 10_000_000
+
+DISTANCE_MAX = 1e5
+"""The greatest reading of the distance meter, forwards and backwards, m."""
 
 T = TypeVar("T")
 
@@ -26,16 +32,19 @@ class RobotConfig:
     """A round differential-drive robot, by default a Pioneer P3-DX."""
 
     radius: float = 0.25
+    """Radius of the body, m."""
     axle_track: float = 0.40
+    """Distance between the wheels, m."""
     wheel_speed_max: float = 1.2
     """Full speed of a wheel, m/s."""
     wheel_time_constant: float = 0.15
     """First-order lag between the commanded and the actual wheel speed, s; 0 means none."""
     mass: float = 9.0
+    """Mass, kg."""
     dt: float = 0.2
     """Length of a control step, s."""
     substeps: int = 4
-    """Physics steps in a control step. A robot sinks into a wall by less than what it drives in one: 0.06 m."""
+    """Physics steps in a control step. A robot sinks into a wall by less than it drives in one of them: 0.06 m."""
 
     def __post_init__(self) -> None:
         for field in ("radius", "axle_track", "wheel_speed_max", "mass", "dt"):
@@ -52,7 +61,7 @@ class RobotConfig:
 
     @property
     def advance_max(self) -> float:
-        """The longest way that the robot drives in a control step, metres."""
+        """The greatest distance that the robot can drive in a control step, m."""
         return self.wheel_speed_max * self.dt
 
 
@@ -61,7 +70,9 @@ class LaserConfig:
     """A scanner with evenly spaced beams all around, by default an RPLIDAR A1; beam 0 points straight ahead."""
 
     num_beams: int = 180
+    """Beams in a full turn."""
     range_max: float = 12.0
+    """The greatest range that the laser measures, m."""
 
     def __post_init__(self) -> None:
         check_integer(self, "num_beams", 4, 7200)
@@ -75,11 +86,11 @@ class LaserConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseConfig:
-    """How far the three sensors err; the presets are in `NOISE_PRESETS`, all zeros is the paper's world.
+    """Errors of the three sensors; `NOISE_PRESETS` has the presets, and all zeros is the paper's world.
 
-    The laser's terms are those of the beam model (Thrun, Burgard and Fox, Probabilistic Robotics, 6.3):
-    with the given probabilities a range is cut short, reads the maximum, or is random; else it is the
-    true one with Gaussian noise.
+    The laser's terms are those of the beam model (Thrun, Burgard and Fox, Probabilistic Robotics, 6.3): with the given
+    probabilities a range is too short, reads the maximum, or is random; otherwise it is the true one with Gaussian
+    noise.
     """
 
     distance_scale: float = 0.0
@@ -97,8 +108,11 @@ class NoiseConfig:
     laser_sigma_relative: float = 0.0
     """Standard deviation of a range, as a share of the range; adds to `laser_sigma`."""
     laser_short: float = 0.0
+    """Probability that a range is cut short, to a uniform draw below the true one."""
     laser_max: float = 0.0
+    """Probability that a beam reads the laser's maximum."""
     laser_random: float = 0.0
+    """Probability that a range is a uniform draw up to the maximum."""
 
     def __post_init__(self) -> None:
         for field in ("distance_drift", "compass_white_deg", "compass_field_deg", "laser_sigma"):
@@ -156,20 +170,20 @@ NOISE_PRESETS: Mapping[str, NoiseConfig] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClosureConfig:
-    """What counts as being back, and which claims of it are judged; see `cyclic_env.task.loop_closure`."""
+    """What counts as a return, and which claims of one are judged; see `cyclic_env.task.loop_closure`."""
 
     return_radius: float = 3.0
-    """Greatest distance between two positions that are the same place."""
+    """Greatest distance between two positions that count as the same place, m."""
     gap: float = 20.0
-    """Least path length between leaving a place and being back."""
+    """Least path length between two visits of a place that makes the second one a return, m."""
     leave_radius: float = 10.0
-    """The robot must have been this far away in between."""
+    """How far away the robot must have been between the two visits, m."""
     event_gap: float = 2.0
-    """Runs of revisit steps less than this much path apart are one event."""
+    """Runs of revisit steps with less than this length of path between them are one event, m."""
     event_length_min: float = 1.0
-    """Shorter events count neither way."""
+    """Events with a shorter path than this don't count, m."""
     claim_spacing: float = 2.0
-    """Path that must pass since the last judged claim before another is judged."""
+    """Path length after a judged claim before the next one is judged, m."""
 
     def __post_init__(self) -> None:
         check_number(self, "return_radius", 0.1)
@@ -181,11 +195,12 @@ class ClosureConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoverageConfig:
-    """How the building is divided into cells, and how often a scan marks what it has seen."""
+    """The cells in which coverage is counted, and how often a scan marks the cells that it sees."""
 
     cell_size: float = 0.5
+    """Side of a cell, m."""
     scan_spacing: float = 0.5
-    """Path length between two scans that mark cells."""
+    """Path length between two scans that mark cells, m; 0 means that every scan does."""
     complete: float = 0.99
     """Share of the cells that must be seen for success."""
 
@@ -203,43 +218,109 @@ class CoverageConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewardConfig:
-    """Weights of the reward's terms; a perfect run is worth 100 less its time."""
+    """Weights of the reward's terms; a perfect episode is worth 100 less its time."""
 
     coverage: float = 50.0
     """For seeing the whole free area; doubled where the plan has no cycle."""
     new_cycle: float = 50.0
     """For closing all cycles of the plan, in equal shares."""
     false_claim: float = -5.0
+    """For each false claim."""
     missed_revisit: float = -1.0
+    """For each revisit event that passes without a correct claim."""
     collision: float = -40.0
-    """For a whole step budget spent in contact with a wall."""
+    """For a whole step budget in contact with a wall."""
     time: float = -10.0
     """For a whole step budget."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            check_number(self, field.name, -1e6, 1e6)
+        for name in self.__dataclass_fields__:
+            check_number(self, name, -1e6, 1e6)
 
 
-def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:
-    """Return `value` as an instance of the settings class `cls`.
-
-    Parameters
-    ----------
-    cls : type
-        One of the dataclasses of this module.
-    value : cls, mapping or None
-        An instance (returned as it is), some of the fields by name, or None for the defaults.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EnvConfig:
+    """All settings of an environment; `CyclicLoopEnv` and `CyclicLoopVectorEnv` take each of them as an argument, too.
 
     Raises
     ------
     ConfigError
-        If a field is unknown (the message names the nearest) or out of range.
+        If a setting is unknown, of the wrong type or out of range.
     """
-    if value is None:
-        return cls()
+
+    map_name: str | tuple[str, ...] = "killian_court"
+    """A shipped floor plan, a YAML file, or a generated building such as generated:cycles=4,seed=7. Of several, and of
+    the buildings of generated:train, every reset draws one."""
+    noise: NoisePreset | NoiseConfig = "ideal"
+    """Errors of the sensors."""
+    action_type: ActionType = "wheels"
+    """What an action says: two wheel speeds, a twist (v, omega), or one of five drives."""
+    random_start: bool = False
+    """Draw the start of an episode from all positions that the robot can reach; otherwise it is the plan's own."""
+    terminate_on_collision: bool = False
+    """End an episode at the first contact with a wall."""
+    step_budget: int | None = None
+    """Steps after which an episode is truncated. By default they are enough to drive through corridors 2 m wide that
+    have the plan's area, three times."""
+    robot: RobotConfig = RobotConfig()
+    laser: LaserConfig = LaserConfig()
+    closure: ClosureConfig = ClosureConfig()
+    coverage: CoverageConfig = CoverageConfig()
+    reward: RewardConfig = RewardConfig()
+
+    def __post_init__(self) -> None:
+        names = [self.map_name] if isinstance(self.map_name, str) else self.map_name
+        is_name = isinstance(names, list | tuple) and names and all(isinstance(name, str) and name for name in names)
+        check_field(self, bool(is_name), "map_name", "the name of a floor plan, or several")
+        check_choice("action type", self.action_type, ACTION_TYPES)
+        check_bool(self, "random_start")
+        check_bool(self, "terminate_on_collision")
+        if self.step_budget is not None:
+            check_integer(self, "step_budget", 1, STEP_BUDGET_MAX)
+        noise = noise_from_name(self.noise)
+        checked = {
+            "map_name": self.map_name if isinstance(self.map_name, str) else tuple(names),
+            "noise": self.noise if isinstance(self.noise, str) else noise,
+            "robot": from_mapping(RobotConfig, self.robot),
+            "laser": from_mapping(LaserConfig, self.laser),
+            "closure": from_mapping(ClosureConfig, self.closure),
+            "coverage": from_mapping(CoverageConfig, self.coverage),
+            "reward": from_mapping(RewardConfig, self.reward),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def sensor_noise(self) -> NoiseConfig:
+        """The sensors' errors, also where `noise` is the name of a preset."""
+        return noise_from_name(self.noise)
+
+    @property
+    def noise_name(self) -> str:
+        """The name of the noise preset, or ``"custom"``."""
+        presets = (name for name, preset in NOISE_PRESETS.items() if preset == self.sensor_noise)
+        return next(presets, "custom")
+
+
+def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:
+    """Return `value` as an instance of a settings class.
+
+    Parameters
+    ----------
+    cls : type
+        `EnvConfig` or the class of one of its parts.
+    value : cls, mapping or None
+        An instance, some of the fields by name, or None for the defaults.
+
+    Raises
+    ------
+    ConfigError
+        If a field is unknown (the message suggests the nearest) or out of range.
+    """
     if isinstance(value, cls):
         return value
+    if value is None:
+        return cls()
     if not isinstance(value, Mapping):
         raise ConfigError(f"expected a {cls.__name__} or a mapping of its fields, got {type(value).__name__}.")
     known = {field.name for field in fields(cls)}  # pyright: ignore[reportArgumentType]
@@ -250,15 +331,13 @@ def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:
 
 
 def noise_from_name(noise: str | NoiseConfig | Mapping[str, Any] | None) -> NoiseConfig:
-    """Return the noise preset of that name, or `noise` itself where it already is a setting.
+    """Return the noise preset of that name, or `noise` itself if it is a NoiseConfig or a mapping of its fields.
 
     Raises
     ------
     ConfigError
-        If there is no such preset; the message lists them.
+        If there is no such preset (the message lists them all), or a field is wrong.
     """
-    if noise is None:
-        raise ConfigError(f"noise is None; expected a preset ({', '.join(NOISE_PRESETS)}) or a NoiseConfig.")
     if isinstance(noise, str):
         return NOISE_PRESETS[check_choice("noise preset", noise, NOISE_PRESETS)]
     return from_mapping(NoiseConfig, noise)

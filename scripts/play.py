@@ -74,7 +74,7 @@ def run(play: Play, speed: float) -> None:
         pygame.K_RSHIFT: "slow",
     }
     presses = {pygame.K_SPACE: play.claim, pygame.K_p: play.pause, pygame.K_r: play.restart}
-    steps_per_s = max(1, round(speed / play.core.engine.config.robot.dt))
+    steps_per_s = max(1, round(speed / play.core.config.robot.dt))
     window = Window(play_size(play), steps_per_s, "you can't play without one.")
     try:
         while window.is_open():

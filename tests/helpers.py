@@ -41,3 +41,30 @@ def evaluation(*records: dict[str, Any], **changes: Any) -> Evaluation:
     settings: dict[str, Any] = {"agent": "someone", "map": "ring", "noise": "ideal", "action_type": "wheels"}
     settings |= {"random_start": False, "seeds": tuple(range(len(records))), "episodes": list(records)}
     return Evaluation(**settings | changes)
+
+
+def roll_out(env: Any, actions: np.ndarray, seed: int | None) -> list[tuple[Any, ...]]:
+    """Reset and step a single env, beginning anew when an episode ends; return all that it returned."""
+    rollout: list[tuple[Any, ...]] = [env.reset(seed=seed)]
+    for action in actions:
+        rollout.append(env.step(action))
+        if rollout[-1][2] or rollout[-1][3]:
+            rollout.append(env.reset())
+    return rollout
+
+
+def assert_same(a: Any, b: Any) -> None:
+    """Assert that two structures of dicts, tuples, arrays and scalars are equal to the bit, types included."""
+    assert type(a) is type(b)
+    if isinstance(a, dict):
+        assert a.keys() == b.keys()
+        for key in a:
+            assert_same(a[key], b[key])
+    elif isinstance(a, list | tuple):
+        assert len(a) == len(b)
+        for x, y in zip(a, b, strict=True):
+            assert_same(x, y)
+    elif isinstance(a, np.ndarray) and a.dtype == object:
+        assert_same(a.tolist(), b.tolist())
+    else:
+        np.testing.assert_array_equal(a, b, strict=True)

@@ -20,9 +20,8 @@ from agents.slam.scan_filters import confirm, despeckle, fill, reliable_endpoint
 from agents.slam.scan_matching import fit_wall_lines
 from agents.slam.se2 import compose, euclidean_distances, relative, wrap_all
 from agents.slam.tracker import PoseTracker
-from cyclic_env.config import ACTION_TYPES, ActionType
+from cyclic_env.config import ACTION_TYPES, DISTANCE_MAX, ActionType
 from cyclic_env.errors import ConfigError
-from cyclic_env.simulation.sensors import DISTANCE_MAX
 from cyclic_env.validation import as_array, check_choice, short_repr
 
 FIRST_STEPS = 2

@@ -99,7 +99,7 @@ def _empty_evaluation(
 ) -> Evaluation:
     """Check all plans and settings by making an environment, and return an evaluation without episodes."""
     env = _make_env(pool, seeds, settings)
-    config = env.engine.config
+    config = env.config
     env.close()
     acts_by = getattr(policy, "action_type", config.action_type)
     if acts_by != config.action_type:

@@ -12,17 +12,14 @@ import numpy as np
 from gymnasium.utils import seeding
 
 from cyclic_env.atomic_write import check_writable
-from cyclic_env.engine.engine import INFO
+from cyclic_env.engine.building import INFO
+from cyclic_env.envs.arguments import check_seed
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
-from cyclic_env.envs.spaces import checked_seed
 from cyclic_env.errors import ConfigError, UsageError
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names
 from cyclic_env.recording.format import Recording, check_track, observation_digest, versions, write_recording
 from cyclic_env.trajectory.dead_reckoning import dead_reckon
 from cyclic_env.validation import short_repr
-
-SETTINGS = ("action_type", "random_start", "terminate_on_collision", "step_budget")
-SETTING_GROUPS = ("robot", "laser", "noise", "closure", "coverage", "reward")
 
 ALTERING = (gymnasium.ActionWrapper, gymnasium.ObservationWrapper, gymnasium.RewardWrapper)
 """Wrappers below the recorder that would make the environment see other actions, or the recorder other results."""
@@ -63,7 +60,7 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
         if self._path is not None:
             check_writable(self._path)
         self._laser = laser
-        self._shipped = tuple(_is_shipped(plan) for plan in self._core.engine.config.plans)
+        self._shipped = tuple(_is_shipped(plan) for plan in self._core.floor_plans)
         self._episode = 0
         self._written = True
         self._reset: dict[str, Any] = {}
@@ -86,7 +83,7 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Write the last episode, unless it has been written, and begin another."""
         self.save()
-        seed = checked_seed(seed)
+        seed = check_seed(seed)
         generator = (self._core.np_random if seed is None else seeding.np_random(seed)[0]).bit_generator.state
         observation, info = self.env.reset(seed=seed, options=options)
         start = (options or {}).get("start")
@@ -136,15 +133,15 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
             If a track has another shape.
         """
         self._check_begun()
-        config = self._core.engine.config
+        config = self._core.config
         actions, rewards, poses, distance, compass, digests, laser = zip(*self._rows, strict=True)
         kind, columns = (np.int64, 2) if config.action_type == "discrete" else (np.float64, 4)
         distance, compass = np.concatenate(distance), np.stack(compass)
         return Recording(
-            plans=tuple(config.plans),
+            plans=tuple(self._core.floor_plans),
             shipped=self._shipped,
-            settings={name: getattr(config, name) for name in SETTINGS}
-            | {name: asdict(getattr(config, name)) for name in SETTING_GROUPS},
+            settings={name: value for name, value in asdict(config).items() if name != "map_name"}
+            | {"noise": asdict(config.sensor_noise)},
             **self._reset,
             versions=versions(),
             map=self._core.floor_plan.name,

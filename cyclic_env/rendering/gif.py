@@ -5,10 +5,8 @@ from __future__ import annotations
 import math
 from itertools import combinations_with_replacement
 from pathlib import Path
-from typing import Protocol
 
 from cyclic_env.atomic_write import atomic_write
-from cyclic_env.engine.engine import Engine
 from cyclic_env.errors import ConfigError
 from cyclic_env.rendering.colors import (
     AMBER,
@@ -24,7 +22,7 @@ from cyclic_env.rendering.colors import (
     WALL,
     WRONG,
 )
-from cyclic_env.rendering.renderer import draw_picture, pygame
+from cyclic_env.rendering.renderer import DrawableEnv, draw_picture, pygame
 
 try:
     from PIL import Image
@@ -41,12 +39,6 @@ FRAME_S, LAST_FRAME_S = 0.08, 3.0
 """Seconds for which each frame, and the last one, is shown."""
 
 
-class DrawableEnv(Protocol):
-    """A `CyclicLoopEnv`, which this module can't import."""
-
-    engine: Engine
-
-
 class GifWriter:
     """Collects the frames of a run's animation and writes it.
 
@@ -56,7 +48,7 @@ class GifWriter:
     """
 
     def __init__(self, env: DrawableEnv) -> None:
-        self._engine = env.engine
+        self._env = env
         self._frames: list[Image.Image] = []
         self._palette = Image.new("P", (1, 1))
         self._palette.putpalette(
@@ -70,11 +62,11 @@ class GifWriter:
 
     def take(self, step: int, *, last: bool = False) -> None:
         """Add the picture of a step, if it is one of those to be shown or the last."""
-        budget = self._engine.config.step_budget_of(self._engine.plan(0))
+        budget = self._env.engine.step_budget(0)
         if step == self._taken or (step % math.ceil(budget / FRAMES_MAX) and not last):
             return
         self._taken = step
-        surface = draw_picture(self._engine, 0)
+        surface = draw_picture(self._env)
         picture = Image.frombytes("RGB", surface.get_size(), pygame.image.tobytes(surface, "RGB"))
         size = (FRAME_WIDTH, round(FRAME_WIDTH * picture.height / picture.width))
         picture = picture.resize(size, Image.Resampling.BOX)  # a box filter keeps flat areas flat

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import shapely
@@ -57,8 +57,14 @@ INSET_ZOOM = 2
 """How many times larger the close-up is drawn before it is scaled down, which smooths its edges."""
 
 
+class DrawableEnv(Protocol):
+    """A `CyclicLoopEnv` or a `CyclicLoopVectorEnv`, which this module can't import."""
+
+    engine: Engine
+
+
 class Renderer:
-    """Draws one robot of an engine.
+    """Draws one robot of an environment.
 
     Parameters
     ----------
@@ -81,22 +87,22 @@ class Renderer:
         self._fps = fps
         self._window: Window | None = None
 
-    def draw(self, engine: Engine, row: int) -> np.ndarray | None:
+    def draw(self, env: DrawableEnv, row: int = 0) -> np.ndarray | None:
         """Draw a robot's building, path and claims as they are now.
 
         Parameters
         ----------
-        engine : Engine
+        env : CyclicLoopEnv or CyclicLoopVectorEnv
         row : int
             The robot; its episode must have begun.
 
         Returns
         -------
         A new (height, width, 3) uint8 array, or None with ``"human"``. Height and width are even, as video codecs
-        require, and the same for all plans of the engine's pool.
+        require, and the same for all plans of the environment's pool.
         """
         if self.render_mode == "rgb_array":
-            picture = draw_picture(engine, row)
+            picture = draw_picture(env, row)
             columns = pygame.surfarray.pixels3d(picture)
             frame = np.empty((columns.shape[1], columns.shape[0], 3), np.uint8)
             for channel in range(3):  # one channel at a time is many times faster than all at once
@@ -104,9 +110,9 @@ class Renderer:
             return frame
         if self._window is None:
             hint = 'leave out --human, or use render_mode="rgb_array", which needs none.'
-            self._window = Window(canvas_size(engine.config.plans), self._fps, hint)
+            self._window = Window(canvas_size(env.engine.plans), self._fps, hint)
         if self._window.is_open():
-            self._window.show(draw_picture(engine, row))
+            self._window.show(draw_picture(env, row))
         return None
 
     def close(self) -> None:
@@ -172,9 +178,10 @@ class RobotSnapshot:
         )
 
 
-def draw_picture(engine: Engine, row: int) -> pygame.Surface:
+def draw_picture(env: DrawableEnv, row: int = 0) -> pygame.Surface:
     """Return the picture of a robot: opaque, 32 bits per pixel."""
-    scene = scene_of(engine.plan(row), canvas_size(engine.config.plans))
+    engine = env.engine
+    scene = scene_of(engine.plan(row), canvas_size(engine.plans))
     snapshot = RobotSnapshot.of(engine, row)
     picture = opaque_surface(scene.size)
     _draw_layers(picture, scene.view, scene.overlay, snapshot, 1)
@@ -318,11 +325,11 @@ def _draw_inset(picture: pygame.Surface, scene: Scene, inset: pygame.Rect, snaps
 
 def _draw_scores(picture: pygame.Surface, engine: Engine, row: int) -> None:
     """Draw the line of scores."""
-    info, plan = engine.info[row], engine.plan(row)
-    steps = int(engine.episodes.memory.status["steps"][row])
+    info = engine.info[row]
+    steps = int(engine.steps[row])
     correct = int(info["claims"] - info["false_claims"])
     scores = [
-        ("step", f"{steps:,} / {engine.config.step_budget_of(plan):,}", 0.0),
+        ("step", f"{steps:,} / {engine.step_budget(row):,}", 0.0),
         ("seen", f"{100 * info['coverage']:.1f} %", 0.215),
         ("cycles", f"{info['cycles_closed']} / {info['cycles_total']}", 0.35),
         ("claims", "", 0.475),

@@ -16,9 +16,6 @@ import numpy as np
 from cyclic_env.config import LaserConfig, NoiseConfig
 from cyclic_env.jit import call_c, compiled
 
-DISTANCE_MAX = 1e5
-"""Metres, to either side; the distance meter shows no more."""
-
 FIELD_WAVES = 64
 """Plane waves whose sum is the compass field; the more, the nearer to a Gaussian field."""
 

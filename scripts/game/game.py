@@ -12,7 +12,7 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 
-from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
+from cyclic_env import CyclicLoopEnv
 from cyclic_env.errors import ConfigError
 from cyclic_env.trajectory.dead_reckoning import dead_reckon
 from cyclic_env.validation import check_choice, short_repr
@@ -67,7 +67,7 @@ class Play:
 
     def __init__(self, env: gymnasium.Env[Any, Any], *, seed: int = 0, show: Show = "robot") -> None:
         core = env.unwrapped
-        if not isinstance(core, CyclicLoopEnv) or core.engine.config.action_type != "wheels":
+        if not isinstance(core, CyclicLoopEnv) or core.config.action_type != "wheels":
             raise ConfigError(f"the env is {short_repr(env)}; expected a CyclicLoop environment driven by wheels.")
         self.env = env
         self.core = core
@@ -118,7 +118,7 @@ class Play:
     def hits(self) -> np.ndarray:
         """Dead-reckoned endpoints of the last scan's beams that hit something, `(n, 2)`."""
         x, y, heading, _ = self.track[-1]
-        laser, ranges = self.core.engine.config.laser, self._observation["laser"]
+        laser, ranges = self.core.config.laser, self._observation["laser"]
         bearings = heading + laser.beam_spacing * np.arange(laser.num_beams)
         endpoints = np.array([x, y]) + ranges[:, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
         return endpoints[ranges < laser.range_max]
@@ -128,7 +128,7 @@ class Play:
         if self._picked is not None:
             return self._picked
         driven = self.track[:, 3]
-        old = np.flatnonzero(driven[-1] - driven >= self.core.engine.config.closure.gap)
+        old = np.flatnonzero(driven[-1] - driven >= self.core.config.closure.gap)
         if not len(old):
             return None
         return int(old[np.argmin(np.hypot(*(self.positions[old] - self.pose[:2]).T))])
@@ -145,7 +145,7 @@ class Play:
     def claim(self) -> None:
         """Claim, with the next step, to be back at the candidate."""
         if self.candidate() is None:
-            gap = self.core.engine.config.closure.gap
+            gap = self.core.config.closure.gap
             self.message = f"nothing to claim yet: drive {gap:g} m first, or click on your path"
         elif not self.ended:
             self._claims = True

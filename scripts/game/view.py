@@ -41,7 +41,7 @@ KEYS = (
 
 def play_size(play: Play) -> tuple[int, int]:
     """Return the width and height of a game's pictures."""
-    width, height = canvas_size(play.core.engine.config.plans) if play.show == "truth" else ROBOT_SIZE
+    width, height = canvas_size(play.core.floor_plans) if play.show == "truth" else ROBOT_SIZE
     return width, height + STRIP
 
 
@@ -50,7 +50,7 @@ def play_view(play: Play) -> View:
     width, height = play_size(play)
     if play.show == "truth":
         return scene_of(play.core.floor_plan, (width, height - STRIP)).view
-    reach = play.core.engine.config.laser.range_max
+    reach = play.core.config.laser.range_max
     points = np.concatenate([play.positions, play.positions[-1:] - reach, play.positions[-1:] + reach, play.cloud])
     (west, south), (east, north) = points.min(axis=0), points.max(axis=0)
     room = (width - 2 * MARGIN, height - STRIP - 2 * MARGIN)
@@ -65,7 +65,7 @@ def draw_play(play: Play) -> pygame.Surface:
     picture.fill(PAPER)
     view = play_view(play)
     if play.show == "truth":
-        picture.blit(draw_picture(play.core.engine, 0), (0, 0))
+        picture.blit(draw_picture(play.core), (0, 0))
     else:
         _draw_sensed(picture, view, play)
     step = play.candidate()
@@ -88,7 +88,7 @@ def _draw_sensed(picture: pygame.Surface, view: View, play: Play) -> None:
     if len(path) > 1:
         draw_line(picture, PATH_NEW, path, 2, smooth=False)
     blit_centered(picture, start_mark(MARK), *path[0])
-    radius = max(ROBOT_RADIUS_MIN, play.core.engine.config.robot.radius * view.scale)
+    radius = max(ROBOT_RADIUS_MIN, play.core.config.robot.radius * view.scale)
     blit_centered(picture, robot_mark(radius, float(play.pose[2])), *path[-1])
     metres = next(step for step in (5.0, 10.0, 20.0, 50.0, 100.0, 1e3) if step * view.scale > 60)
     draw_scale_bar(picture, MARGIN, picture.get_height() - STRIP - MARGIN, view.scale, metres)

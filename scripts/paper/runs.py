@@ -13,8 +13,8 @@ from agents.knn.config import ExplorerConfig, preset
 from agents.knn.directions import sector_features
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.slam.scan_filters import despeckle
+from cyclic_env import CyclicLoopEnv
 from cyclic_env.config import ClosureConfig, NoiseConfig, noise_from_name
-from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.simulation.wall_index import build_wall_index
 from cyclic_env.task.loop_closure import line_of_sight
@@ -160,7 +160,7 @@ def _record(env: CyclicLoopEnv, memory: Memory, metrics: dict[str, Any], heading
         group=keyframes.group.copy(),
         features=keyframes.features.astype(np.int16),
         beams=np.rint(keyframes.scan / BEAM_ROUNDING).astype(np.uint8),
-        truth=closure_truth(env.floor_plan, way, keyframes.step, env.engine.config.closure),
+        truth=closure_truth(env.floor_plan, way, keyframes.step, env.config.closure),
         areas=np.array(areas).reshape(-1, 2),
     )
 
@@ -237,7 +237,7 @@ def drive_again(record: RunRecord, settings: RunSettings, laps: int, *, noise: s
     step = np.concatenate([record.step, np.arange(first, len(way))])
     truth = np.zeros((0, 0), np.int8)
     if laps == 2:
-        truth = closure_truth(env.floor_plan, way, step, env.engine.config.closure)
+        truth = closure_truth(env.floor_plan, way, step, env.config.closure)
     env.close()
     groups = int(record.group[-1]) + 1
     return replace(

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import shapely
 
+from cyclic_env.envs.arguments import RENDER_FPS
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
-from cyclic_env.envs.spaces import RENDER_FPS
 from cyclic_env.envs.vector import CyclicLoopVectorEnv
 from cyclic_env.errors import ConfigError, UsageError
 from cyclic_env.floor_plans import FloorPlan, PlanPool, load_floor_plan, load_floor_plans
