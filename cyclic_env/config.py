@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar, get_args
 
+import numpy as np
+
 from cyclic_env.errors import ConfigError
 from cyclic_env.validation import check_bool, check_choice, check_field, check_integer, check_number, unknown_name
 
@@ -67,21 +69,46 @@ class RobotConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaserConfig:
-    """A scanner with evenly spaced beams all around, by default an RPLIDAR A1; beam 0 points straight ahead."""
+    """A scanner with evenly spaced beams, by default an RPLIDAR A1, which sees all around.
+
+    Beam 0 of a laser that sees all around points where the laser does, straight ahead by default. With a smaller field
+    of view, beam 0 is its right edge and the last beam its left edge.
+    """
 
     num_beams: int = 180
-    """Beams in a full turn."""
+    """Number of beams, spread over the field of view."""
     range_max: float = 12.0
     """The greatest range that the laser measures, m."""
+    field_of_view: float = 2 * math.pi
+    """Angle that the laser sees, radians; 2 pi means all around."""
+    mounting_angle: float = 0.0
+    """Angle from the robot's heading to where the laser points, counter-clockwise, radians."""
 
     def __post_init__(self) -> None:
         check_integer(self, "num_beams", 4, 7200)
         check_number(self, "range_max", 0.0, 1000.0, open_low=True)
+        check_number(self, "field_of_view", 0.0, 2 * math.pi, open_low=True)
+        check_number(self, "mounting_angle", -2 * math.pi, 2 * math.pi)
+
+    @property
+    def sees_all_around(self) -> bool:
+        """Whether the field of view is a full turn."""
+        return self.field_of_view == 2 * math.pi
 
     @property
     def beam_spacing(self) -> float:
         """Angle from one beam to the next, counter-clockwise, radians."""
-        return 2 * math.pi / self.num_beams
+        return self.field_of_view / (self.num_beams if self.sees_all_around else self.num_beams - 1)
+
+    @property
+    def first_bearing(self) -> float:
+        """Bearing of beam 0, the angle from the robot's heading to it, radians."""
+        return self.mounting_angle - (0.0 if self.sees_all_around else 0.5 * self.field_of_view)
+
+    @property
+    def bearings(self) -> np.ndarray:
+        """Bearing of every beam, radians, `(num_beams,)`."""
+        return self.first_bearing + self.beam_spacing * np.arange(self.num_beams)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

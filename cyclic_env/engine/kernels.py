@@ -24,15 +24,13 @@ def begin_episode(buildings, episodes, row, x, y, heading):
     plan, ranges, grid = episodes.plan_of[row], episodes.true_ranges[row], episodes.grid
     robot = robot_view(episodes.memory, row)
     begin(robot, building_view(episodes.memory, plan), x, y)
-    scan_row(
-        buildings.tiles, plan, x, y, heading, buildings.directions, buildings.range_max, episodes.scratch[row], ranges
-    )
+    scan_row(buildings.tiles, plan, x, y, heading, buildings.beams, episodes.scratch[row], ranges)
     grid.seen[row] = False
     outcome = episodes.outcome[row]
     outcome.reward, outcome.terminated, outcome.truncated, outcome.contact = 0.0, False, False, False
     outcome.cells_paid, outcome.episode_return = 0, 0.0
     outcome.cells_seen = mark_scan(
-        grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, buildings.directions, ranges
+        grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, buildings.beams.directions, ranges
     )
     episodes.terms[row] = 0.0
     info = episodes.info[row]
@@ -44,7 +42,7 @@ def begin_episode(buildings, episodes, row, x, y, heading):
 @compiled
 def judge_rows(buildings, episodes, rows, claimed):
     """Scan, mark, judge and reward the step that the robots `rows` have just driven."""
-    grid, rules, directions = episodes.grid, buildings.rules, buildings.directions
+    grid, rules, beams = episodes.grid, buildings.rules, buildings.beams
     scratch = episodes.scratch[rows[0] if len(rows) else 0]  # one for all: no other thread has the same first row
     for row in rows:
         plan, drive, ranges = episodes.plan_of[row], episodes.drive[row], episodes.true_ranges[row]
@@ -54,13 +52,13 @@ def judge_rows(buildings, episodes, rows, claimed):
         robot, building = robot_view(episodes.memory, row), building_view(episodes.memory, plan)
         status = robot.status
         x, y, heading = drive.x, drive.y, wrap_angle(drive.angle)
-        scan_row(buildings.tiles, plan, x, y, heading, directions, buildings.range_max, scratch, ranges)
+        scan_row(buildings.tiles, plan, x, y, heading, beams, scratch, ranges)
 
         path_before, false_before = status.path, status.false_claims
         advance(robot, building, rules, x, y)
         if passed_multiple(path_before, status.path, buildings.scan_spacing):
             outcome.cells_seen += mark_scan(
-                grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, directions, ranges
+                grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, beams.directions, ranges
             )
         judge_claim(robot, building, rules, claimed[row])
         if drive.contact and not outcome.contact:

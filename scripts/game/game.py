@@ -119,7 +119,7 @@ class Play:
         """Dead-reckoned endpoints of the last scan's beams that hit something, `(n, 2)`."""
         x, y, heading, _ = self.track[-1]
         laser, ranges = self.core.config.laser, self._observation["laser"]
-        bearings = heading + laser.beam_spacing * np.arange(laser.num_beams)
+        bearings = heading + laser.bearings
         endpoints = np.array([x, y]) + ranges[:, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
         return endpoints[ranges < laser.range_max]
 
