@@ -122,7 +122,7 @@ def test_without_an_output_nothing_is_written(ros_map: Path, capsys: pytest.Capt
         (["MAP", "--start", "nan", "0", "0"], "MAP: start: expected x, y and heading from -100000 to 100000"),
         (["MAP", "--figure", "plan.xyz"], "plan.xyz: "),
         (["MAP", "--figure", "a.png", "--out", "a.png"], "a.png would be written twice"),
-        (["MAP", "--export", "."], "hall.yaml would be written over, but it is read"),
+        (["MAP", "--export", "."], "hall.yaml is read, and would be overwritten"),
         (["odd_name.yaml", "--export", "x"], "the plan's name '../hall' is no name of a file"),
     ],
 )
