@@ -206,7 +206,7 @@ class ClosureConfig:
     leave_radius: float = 10.0
     """How far away the robot must have been between the two visits, m."""
     event_gap: float = 2.0
-    """Runs of revisit steps with less than this length of path between them are one event, m."""
+    """Runs of fresh revisit steps with less than this length of path between them are one event, m."""
     event_length_min: float = 1.0
     """Events with a shorter path than this don't count, m."""
     claim_spacing: float = 2.0
@@ -285,7 +285,7 @@ class EnvConfig:
     random_start: bool = False
     """Draw the start of an episode from all positions that the robot can reach; otherwise it is the plan's own."""
     terminate_on_collision: bool = False
-    """End an episode at the first contact with a wall."""
+    """End an episode at the first contact with a wall; the rest of its step budget is charged as time."""
     step_budget: int | None = None
     """Steps after which an episode is truncated. By default they are enough to drive through corridors 2 m wide that
     have the plan's area, three times."""

@@ -40,7 +40,7 @@ from cyclic_env.config import LaserConfig, RobotConfig
 from cyclic_env.simulation.lidar import laser_beams, scan, scan_row
 from cyclic_env.simulation.physics import Simulation
 from cyclic_env.simulation.wall_index import build_wall_index
-from cyclic_env.task.loop_closure import allocate_memory
+from cyclic_env.task.path_history import allocate_memory
 from scripts._cli import command, interruptible
 
 ROOT = Path(__file__).resolve().parents[1]

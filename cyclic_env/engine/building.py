@@ -15,7 +15,8 @@ from cyclic_env.simulation.physics import Simulation
 from cyclic_env.simulation.sensors import Sensors
 from cyclic_env.simulation.wall_index import WallIndex, build_wall_index, join_wall_indices
 from cyclic_env.task.coverage import CoverageGrid, build_coverage_grid, joined_coverage_grid
-from cyclic_env.task.loop_closure import ClosureMemory, ClosureRules, allocate_memory, closure_rules, joined_memory
+from cyclic_env.task.loop_closure import ClosureRules, closure_rules
+from cyclic_env.task.path_history import ClosureMemory, allocate_memory, joined_memory
 from cyclic_env.task.rewards import REWARD_TERMS, reward_weights
 
 BUDGET_LAPS = 3.0

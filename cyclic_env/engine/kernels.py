@@ -7,7 +7,8 @@ import math
 from cyclic_env.jit import compiled
 from cyclic_env.simulation.lidar import scan_row
 from cyclic_env.task.coverage import mark_scan
-from cyclic_env.task.loop_closure import advance, begin, building_view, judge_claim, robot_view, settle_event
+from cyclic_env.task.loop_closure import advance, begin, judge_claim, precision_of, recall_of, settle_event
+from cyclic_env.task.path_history import building_view, robot_view
 from cyclic_env.task.rewards import reward_row
 
 
@@ -54,9 +55,9 @@ def judge_rows(buildings, episodes, rows, claimed):
         x, y, heading = drive.x, drive.y, wrap_angle(drive.angle)
         scan_row(buildings.tiles, plan, x, y, heading, beams, scratch, ranges)
 
-        path_before, false_before = status.path, status.false_claims
+        path_before, false_before = status.path_length, status.false_claims
         advance(robot, building, rules, x, y)
-        if passed_multiple(path_before, status.path, buildings.scan_spacing):
+        if passed_multiple(path_before, status.path_length, buildings.scan_spacing):
             outcome.cells_seen += mark_scan(
                 grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, beams.directions, ranges
             )
@@ -70,17 +71,14 @@ def judge_rows(buildings, episodes, rows, claimed):
         outcome.terminated = info.is_success or (buildings.terminate_on_collision and drive.contact)
         outcome.truncated = status.steps >= buildings.step_budget[plan] and not outcome.terminated
         if outcome.terminated or outcome.truncated:
-            settle_event(status, rules)
+            settle_event(robot, building, rules)
             report(info, status, outcome.cells_seen / cells_total, buildings.coverage_complete, x, y, heading)
-        outcome.reward = reward_row(
-            buildings.weights[plan],
-            (outcome.cells_seen - outcome.cells_paid) / cells_total,
-            status.new_cycle,
-            status.false_claims - false_before,
-            status.missed_now,
-            drive.contact,
-            episodes.terms[row],
-        )
+        newly_seen = (outcome.cells_seen - outcome.cells_paid) / cells_total
+        crashed = outcome.terminated and not info.is_success
+        charged_steps = 1 + (buildings.step_budget[plan] - status.steps if crashed else 0)
+        false_claims = status.false_claims - false_before
+        units = (newly_seen, status.new_cycle, false_claims, status.missed_now, drive.contact, charged_steps)
+        outcome.reward = reward_row(buildings.weights[plan], units, episodes.terms[row])
         outcome.cells_paid = outcome.cells_seen
         outcome.episode_return += outcome.reward
 
@@ -105,9 +103,8 @@ def report(info, status, share_seen, share_complete, x, y, heading):
     info.false_claims = status.false_claims
     info.revisits = status.revisits
     info.revisits_recognised = status.recognised
-    judged = status.recognised + status.false_claims
-    info.precision = status.recognised / judged if judged > 0 else 1.0
-    info.recall = status.recognised / status.revisits if status.revisits > 0 else 1.0
+    info.precision = precision_of(status)
+    info.recall = recall_of(status)
     info.new_cycle = status.new_cycle
-    info.path_length_m = status.path
+    info.path_length_m = status.path_length
     info.x, info.y, info.heading = x, y, heading

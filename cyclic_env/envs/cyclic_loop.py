@@ -69,9 +69,9 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | ``coverage`` | 50 x share of the free cells newly seen (100 where the building has no cycle) |
     | ``new_cycle`` | 50 / cycles of the building, for each one closed |
     | ``false_claim`` | -5 for each |
-    | ``missed_revisit`` | -1 for each stretch of known ground that the robot passed without a correct claim |
+    | ``missed_revisit`` | -1 for each stretch of known ground, once, that the robot passed without a correct claim |
     | ``collision`` | -40 / step budget, for each step in which a wall pushed back |
-    | ``time`` | -10 / step budget, for each step |
+    | ``time`` | -10 / step budget, for each step; a collision that ends the episode is charged the rest of them |
 
     What the scan at the start sees is paid in the first step.
 
@@ -115,7 +115,8 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     Version history
     ---------------
-    v0: the first.
+    v0: the first. Since rules 2 (`cyclic_env.task.loop_closure.RULES_VERSION`) ground counts once for revisit events,
+    and with them for ``missed_revisit``, precision and recall; a correct claim just before an event recognises it.
 
     References
     ----------
@@ -208,7 +209,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return self.engine.trajectory(0)
 
     def claims(self) -> np.ndarray:
-        """Return the judged claims since the reset, in order: `(n,)` records of `cyclic_env.task.loop_closure.CLAIM`.
+        """Return the judged claims since the reset, in order: `(n,)` records of `cyclic_env.task.path_history.CLAIM`.
 
         They were made at ``trajectory()[claims["step"]]``, and named ``trajectory()[claims["match"]]`` unless the match
         is -1.

@@ -24,7 +24,7 @@ from cyclic_env.config import NOISE_PRESETS, NoiseConfig, from_mapping
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.errors import ConfigError, CyclicLoopError, RecordingError
 from cyclic_env.floor_plans import FloorPlan, floor_plan_from_text, floor_plan_to_text
-from cyclic_env.task.loop_closure import CLAIM
+from cyclic_env.task.path_history import CLAIM
 from cyclic_env.validation import as_array, short_repr
 
 LAYOUT = 1
