@@ -211,11 +211,14 @@ class ClosureConfig:
     """Events with a shorter path than this don't count, m."""
     claim_spacing: float = 2.0
     """Path length after a judged claim before the next one is judged, m."""
+    sight_given: float = 0.0
+    """Two positions nearer to each other than this are in sight whatever walls lie between, m; for trajectories of real
+    robots, which don't fit a floor plan exactly."""
 
     def __post_init__(self) -> None:
         check_number(self, "return_radius", 0.1)
         check_number(self, "gap", 0.0, open_low=True)
-        for field in ("event_gap", "event_length_min", "claim_spacing"):
+        for field in ("event_gap", "event_length_min", "claim_spacing", "sight_given"):
             check_number(self, field, 0.0)
         check_number(self, "leave_radius", self.return_radius, open_low=True)
 
@@ -278,8 +281,8 @@ class EnvConfig:
     map_name: str | tuple[str, ...] = "killian_court"
     """A shipped floor plan, a YAML file, or a generated building such as generated:cycles=4,seed=7. Of several, and of
     the buildings of generated:train, every reset draws one."""
-    noise: NoisePreset | NoiseConfig = "ideal"
-    """Errors of the sensors."""
+    noise: NoisePreset | NoiseConfig | tuple[NoisePreset | NoiseConfig, ...] = "ideal"
+    """Errors of the sensors. Of several, every reset draws one for each robot."""
     action_type: ActionType = "wheels"
     """What an action says: two wheel speeds, a twist (v, omega), or one of five drives."""
     random_start: bool = False
@@ -304,10 +307,15 @@ class EnvConfig:
         check_bool(self, "terminate_on_collision")
         if self.step_budget is not None:
             check_integer(self, "step_budget", 1, STEP_BUDGET_MAX)
-        noise = noise_from_name(self.noise)
+        given: Any = self.noise
+        several = isinstance(given, list | tuple)
+        noise = tuple(given) if several else (given,)
+        check_field(self, len(noise) > 0, "noise", "a noise preset, a NoiseConfig, or several")
+        configs = [noise_from_name(one) for one in noise]
+        noise = tuple(one if isinstance(one, str) else config for one, config in zip(noise, configs, strict=True))
         checked = {
             "map_name": self.map_name if isinstance(self.map_name, str) else tuple(names),
-            "noise": self.noise if isinstance(self.noise, str) else noise,
+            "noise": noise if several else noise[0],
             "robot": from_mapping(RobotConfig, self.robot),
             "laser": from_mapping(LaserConfig, self.laser),
             "closure": from_mapping(ClosureConfig, self.closure),
@@ -318,15 +326,15 @@ class EnvConfig:
             object.__setattr__(self, name, value)
 
     @property
-    def sensor_noise(self) -> NoiseConfig:
-        """The sensors' errors, also where `noise` is the name of a preset."""
-        return noise_from_name(self.noise)
+    def sensor_noise(self) -> tuple[NoiseConfig, ...]:
+        """The sensors' errors, of which every reset draws one, also where `noise` has names of presets."""
+        return tuple(noise_from_name(one) for one in (self.noise if isinstance(self.noise, tuple) else (self.noise,)))
 
     @property
     def noise_name(self) -> str:
-        """The name of the noise preset, or ``"custom"``."""
-        presets = (name for name, preset in NOISE_PRESETS.items() if preset == self.sensor_noise)
-        return next(presets, "custom")
+        """The name of the noise preset, or ``"custom"``; several are joined by a plus sign."""
+        names = {preset: name for name, preset in NOISE_PRESETS.items()}
+        return "+".join(names.get(one, "custom") for one in self.sensor_noise)
 
 
 def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:

@@ -1,6 +1,8 @@
-"""Learned agents: the environment as Stable-Baselines3 wants it, training, and stored models."""
+"""Learned agents: the environment as Stable-Baselines3 wants it, the task "headings", training, and stored models."""
 
 from __future__ import annotations
+
+from gymnasium.envs.registration import register, registry
 
 from cyclic_env.errors import ConfigError
 
@@ -25,3 +27,11 @@ def require_learning() -> None:
                 f'{error.name} is missing, and learned agents need it: pip install -e ".[train]" in the checkout.'
             ) from error
         raise
+
+
+if "CyclicLoopHeadings-v0" not in registry:
+    register(
+        id="CyclicLoopHeadings-v0",
+        entry_point="agents.rl.headings.env:CyclicLoopHeadingsEnv",
+        vector_entry_point="agents.rl.headings.env:CyclicLoopHeadingsVectorEnv",
+    )

@@ -16,7 +16,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.testing import assert_array_equal
 
 import cyclic_env
-from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv
+from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv, UsageError
 from cyclic_env.engine.building import INFO
 from tests.helpers import assert_same, bumping_actions, roll_out
 
@@ -275,3 +275,28 @@ def test_a_timer_adds_up_the_stages_of_the_steps() -> None:
     env.step(np.zeros((3, 4)))
     assert set(timer.seconds) == {"actions", "drive", "judge", "sensors", "observation"}
     assert all(seconds > 0 for seconds in timer.seconds.values())
+
+
+def test_rows_left_out_of_a_step_draw_nothing_and_ended_ones_may_wait_for_their_reset() -> None:
+    settings: dict[str, Any] = {"map_name": "ring", "noise": "typical", "step_budget": 4, "autoreset_mode": "DISABLED"}
+    some, alone = CyclicLoopVectorEnv(2, **settings), CyclicLoopVectorEnv(1, **settings)
+    actions = np.full((2, 4), 0.5, np.float32)
+    some.reset(seed=5)
+    expected, _ = alone.reset(seed=5)
+    for step in range(4):
+        expected, *_ = alone.step(actions[:1])
+        if step < 2:
+            some.step(actions, active=np.array([False, True]))
+    for _ in range(4):
+        observation, rewards, *_ = some.step(actions, active=np.array([True, False]))
+    assert all((observation[name][0] == expected[name][0]).all() for name in expected)
+    assert (rewards[0], rewards[1]) != (0, 0)
+    assert rewards[1] == 0
+    _, _, _, truncated, _ = some.step(actions, active=np.array([False, True]))
+    assert truncated.tolist() == [True, False]
+    with pytest.raises(UsageError, match="ended"):
+        some.step(actions)
+    with pytest.raises(UsageError, match="DISABLED"):
+        CyclicLoopVectorEnv(1, "ring").step(actions[:1], active=np.array([True]))
+    some.close()
+    alone.close()
