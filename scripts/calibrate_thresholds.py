@@ -7,9 +7,8 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
 import json
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from agents.knn.config import THRESHOLDS
@@ -20,18 +19,24 @@ from scripts._cli import command, interruptible, progress_bar
 from scripts.paper.cache import Cache, check_processes, run_all
 from scripts.paper.thresholds import thresholds_file, training_runs
 
-PLANS = 20
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    plans: int = 20
+    """number of plans of the train split"""
+    out: Path = THRESHOLDS
+    """file to write; by default the explorer's own"""
+    cache: Path = Path("out/paper/cache")
+    """folder that keeps finished runs"""
+    processes: int = 2
+    """how many runs at once"""
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@command(Options)
+def main(args: Options) -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--plans", type=int, default=PLANS, help=f"how many of the train split (default {PLANS})")
-    parser.add_argument("--out", type=Path, default=THRESHOLDS, help="file to write (default the explorer's own)")
-    parser.add_argument("--cache", type=Path, default=Path("out/paper/cache"), help="folder that keeps finished runs")
-    parser.add_argument("--processes", type=int, default=2, help="at once (default 2)")
-    args = parser.parse_args(arguments)
     most = SPLITS["train"].plans
     if not 1 <= args.plans <= most:
         raise ConfigError(f"--plans is {args.plans}; expected 1 to {most}, the plans of the train split.")
