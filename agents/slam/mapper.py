@@ -96,7 +96,7 @@ class MapperConfig:
 
 LIMITS = np.array([0.5, math.radians(4), 0.03, math.radians(0.3)])
 NOISE_FLOOR = np.diag([0.01**2, 0.01**2, math.radians(0.1) ** 2])
-TURNS = np.radians([0, 5, -5, 10, -10, 15, -15, 20, -20])
+TURNS = np.radians([0, 6, -6, 12, -12, 18, -18, 25, -25, 32, -32])
 SEARCH = np.array([(x, 0.0, math.radians(h)) for x in (0, -1, 1, -2, 2) for h in (0, 7, -7, 14, -14)])
 MATCH_SPREAD = np.array([1.0, 1.0, math.radians(10)])
 HOLD_SPREAD = np.array([0.3, 0.3, math.radians(5)])
@@ -223,16 +223,15 @@ class Mapper:
             if j < 0 or self.path[i] - self.path[j] > 8:
                 continue
             expected = relative(self.pose[j], self.pose[i])
-            if slot == 1:
+            starts = expected[None]
+            if not self.sources[i, 1:].max() >= 0:  # nothing has held the heading yet
                 starts = expected + np.column_stack([np.zeros((len(TURNS), 2)), TURNS])
-            else:
-                starts = expected[None]
             found = self._match_scan(j, i, ends, starts, spread if slot == 1 else LOCAL_SPREAD)
             shift = math.hypot(*(found.pose[:2] - expected[:2]))
             if found.wide > c.local_wide and found.seen > c.local_seen and shift < 0.5:
                 self.sources[i, slot], self.measured[i, slot] = j, found.pose
                 self.information[i, slot] = inflate(found.information)
-                if slot == 1:
+                if self.sources[i, 1:].max() == j:
                     self.pose[i] = compose(self.pose[j], found.pose)
         self._fit_window()
 
