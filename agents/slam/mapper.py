@@ -22,7 +22,7 @@ from agents.slam.registration import Registration, best_starts, register
 from agents.slam.robust_graph import optimize_robustly, squared_errors
 from agents.slam.scan_filters import despeckle
 from agents.slam.scan_matching import fit_wall_lines
-from agents.slam.se2 import compose, relative, wrap
+from agents.slam.se2 import compose, relative, wrap, wrap_all
 
 GROWN = (
     "pose",
@@ -141,12 +141,14 @@ class Mapper:
         self.closures: list[dict] = []
         self.pending: list[dict] = []
         self.fails = 0
+        self.drift = config.expected_drift
         self.tension = np.zeros(2)
         self.claim: int | None = None
         self.steps = -1
         self.solves = 0
         self.log: list = []
         self.searches: list = []
+        self.holds: dict = {}
         self._distance = self._heading = None
         self.driven = 0.0
         self.icps = 0
@@ -317,6 +319,7 @@ class Mapper:
         expected = relative(self.pose[j], self.pose[i])
         found = self.match(j, i, expected[None], HOLD_SPREAD)
         shift = math.hypot(*(found.pose[:2] - expected[:2]))
+        self.holds[i] = (j, strict, round(found.wide, 2), round(found.tight, 2), found.seen, round(shift, 2))
         wide, tight = (c.close_wide, c.close_tight) if strict else (c.hold_wide, c.hold_tight)
         if found.wide > wide and found.tight > tight and found.seen > c.close_seen and shift < 1.0:
             self.sources[i, -1], self.measured[i, -1], self.information[i, -1] = (
@@ -401,32 +404,32 @@ class Mapper:
         for start in range(len(pending)):
             size = grow_set(agrees, start, members, scratch)
             sets.append((size, start, members[:size].copy()))
-        mine = [s for s in sets if pending[s[1]]["i"] == i]
-        size, start, chosen = max(mine, key=lambda s: (s[0], pending[s[1]]["key"]))
-        at = now[start]
-        rival = max(
-            (
-                s[0]
-                for s in sets
-                if math.hypot(*(now[s[1], :2] - at[:2])) > 1.5 or abs(wrap(now[s[1], 2] - at[2])) > 0.35
-            ),
-            default=0,
+        # What a set is worth: the more it would move the track beyond what is expected to have drifted, the less.
+        shifts = np.hypot(now[:, 0] - self.pose[i, 0], now[:, 1] - self.pose[i, 1])
+        ways = lengths[[p["j"] for p in pending]]
+        surprise = np.clip(shifts / (c.expected_shift + self.drift * ways), c.surprise_min, c.surprise_max)
+        worth = np.array([s[0] for s in sets]) / surprise
+        start = max(
+            (k for k in range(len(pending)) if pending[k]["i"] == i), key=lambda k: (worth[k], pending[k]["key"])
         )
+        size, _, chosen = sets[start]
+        elsewhere = (np.hypot(now[:, 0] - now[start, 0], now[:, 1] - now[start, 1]) > 1.5) | (
+            np.abs(wrap_all(now[:, 2] - now[start, 2])) > 0.35
+        )
+        rival = worth[elsewhere].max(initial=0.0)
         firm = sum(pending[k]["firm"] for k in chosen)
         span = self.path[i] - paths[chosen].min()
-        self.log.append((i, pending[start]["j"], size, rival, firm, span))
-        shift = math.hypot(*(at[:2] - self.pose[i, :2]))
-        way = lengths[pending[start]["j"]]
-        surprise = min(c.surprise_max, max(c.surprise_min, shift / (c.expected_shift + c.expected_drift * way)))
-        self.log[-1] += (shift, way)
+        self.log.append((i, pending[start]["j"], size, rival, firm, span, shifts[start], surprise[start]))
         if (
-            size < surprise * c.set_size
-            or firm < surprise * c.set_firm
-            or span < surprise * c.set_span
-            or size < rival + c.rival_margin
-            or rival > c.rival_share * size
+            worth[start] < c.set_size
+            or firm < surprise[start] * c.set_firm
+            or span < surprise[start] * c.set_span
+            or worth[start] < rival + c.rival_margin
+            or rival > c.rival_share * worth[start]
         ):
             return
+        shift, way = float(shifts[start]), float(ways[start])
+        self.drift = max(self.drift, shift / way)
         for k in chosen:
             p = pending[k]
             self._add_loop(p["j"], p["i"], p["match"], self.groups)
@@ -440,7 +443,7 @@ class Mapper:
                 "size": size,
                 "rival": rival,
                 "firm": firm,
-                "way": lengths[pending[start]["j"]],
+                "way": way,
             }
         )
         self.solve()
