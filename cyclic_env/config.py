@@ -11,6 +11,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, TypeVar, get_args
 
+import numpy as np
+
 from cyclic_env.errors import ConfigError
 from cyclic_env.validation import check_bool, check_choice, check_field, check_integer, check_number, unknown_name
 
@@ -67,21 +69,46 @@ class RobotConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaserConfig:
-    """A scanner with evenly spaced beams all around, by default an RPLIDAR A1; beam 0 points straight ahead."""
+    """A scanner with evenly spaced beams, by default an RPLIDAR A1, which sees all around.
+
+    Beam 0 of a laser that sees all around points where the laser does, straight ahead by default. With a smaller field
+    of view, beam 0 is its right edge and the last beam its left edge.
+    """
 
     num_beams: int = 180
-    """Beams in a full turn."""
+    """Number of beams, spread over the field of view."""
     range_max: float = 12.0
     """The greatest range that the laser measures, m."""
+    field_of_view: float = 2 * math.pi
+    """Angle that the laser sees, radians; 2 pi means all around."""
+    mounting_angle: float = 0.0
+    """Angle from the robot's heading to where the laser points, counter-clockwise, radians."""
 
     def __post_init__(self) -> None:
         check_integer(self, "num_beams", 4, 7200)
         check_number(self, "range_max", 0.0, 1000.0, open_low=True)
+        check_number(self, "field_of_view", 0.0, 2 * math.pi, open_low=True)
+        check_number(self, "mounting_angle", -2 * math.pi, 2 * math.pi)
+
+    @property
+    def sees_all_around(self) -> bool:
+        """Whether the field of view is a full turn."""
+        return self.field_of_view == 2 * math.pi
 
     @property
     def beam_spacing(self) -> float:
         """Angle from one beam to the next, counter-clockwise, radians."""
-        return 2 * math.pi / self.num_beams
+        return self.field_of_view / (self.num_beams if self.sees_all_around else self.num_beams - 1)
+
+    @property
+    def first_bearing(self) -> float:
+        """Bearing of beam 0, the angle from the robot's heading to it, radians."""
+        return self.mounting_angle - (0.0 if self.sees_all_around else 0.5 * self.field_of_view)
+
+    @property
+    def bearings(self) -> np.ndarray:
+        """Bearing of every beam, radians, `(num_beams,)`."""
+        return self.first_bearing + self.beam_spacing * np.arange(self.num_beams)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,16 +206,19 @@ class ClosureConfig:
     leave_radius: float = 10.0
     """How far away the robot must have been between the two visits, m."""
     event_gap: float = 2.0
-    """Runs of revisit steps with less than this length of path between them are one event, m."""
+    """Runs of fresh revisit steps with less than this length of path between them are one event, m."""
     event_length_min: float = 1.0
     """Events with a shorter path than this don't count, m."""
     claim_spacing: float = 2.0
     """Path length after a judged claim before the next one is judged, m."""
+    sight_given: float = 0.0
+    """Two positions nearer to each other than this are in sight whatever walls lie between, m; for trajectories of real
+    robots, which don't fit a floor plan exactly."""
 
     def __post_init__(self) -> None:
         check_number(self, "return_radius", 0.1)
         check_number(self, "gap", 0.0, open_low=True)
-        for field in ("event_gap", "event_length_min", "claim_spacing"):
+        for field in ("event_gap", "event_length_min", "claim_spacing", "sight_given"):
             check_number(self, field, 0.0)
         check_number(self, "leave_radius", self.return_radius, open_low=True)
 
@@ -251,14 +281,14 @@ class EnvConfig:
     map_name: str | tuple[str, ...] = "killian_court"
     """A shipped floor plan, a YAML file, or a generated building such as generated:cycles=4,seed=7. Of several, and of
     the buildings of generated:train, every reset draws one."""
-    noise: NoisePreset | NoiseConfig = "ideal"
-    """Errors of the sensors."""
+    noise: NoisePreset | NoiseConfig | tuple[NoisePreset | NoiseConfig, ...] = "ideal"
+    """Errors of the sensors. Of several, every reset draws one for each robot."""
     action_type: ActionType = "wheels"
     """What an action says: two wheel speeds, a twist (v, omega), or one of five drives."""
     random_start: bool = False
     """Draw the start of an episode from all positions that the robot can reach; otherwise it is the plan's own."""
     terminate_on_collision: bool = False
-    """End an episode at the first contact with a wall."""
+    """End an episode at the first contact with a wall; the rest of its step budget is charged as time."""
     step_budget: int | None = None
     """Steps after which an episode is truncated. By default they are enough to drive through corridors 2 m wide that
     have the plan's area, three times."""
@@ -277,10 +307,15 @@ class EnvConfig:
         check_bool(self, "terminate_on_collision")
         if self.step_budget is not None:
             check_integer(self, "step_budget", 1, STEP_BUDGET_MAX)
-        noise = noise_from_name(self.noise)
+        given: Any = self.noise
+        several = isinstance(given, list | tuple)
+        noise = tuple(given) if several else (given,)
+        check_field(self, len(noise) > 0, "noise", "a noise preset, a NoiseConfig, or several")
+        configs = [noise_from_name(one) for one in noise]
+        noise = tuple(one if isinstance(one, str) else config for one, config in zip(noise, configs, strict=True))
         checked = {
             "map_name": self.map_name if isinstance(self.map_name, str) else tuple(names),
-            "noise": self.noise if isinstance(self.noise, str) else noise,
+            "noise": noise if several else noise[0],
             "robot": from_mapping(RobotConfig, self.robot),
             "laser": from_mapping(LaserConfig, self.laser),
             "closure": from_mapping(ClosureConfig, self.closure),
@@ -291,15 +326,15 @@ class EnvConfig:
             object.__setattr__(self, name, value)
 
     @property
-    def sensor_noise(self) -> NoiseConfig:
-        """The sensors' errors, also where `noise` is the name of a preset."""
-        return noise_from_name(self.noise)
+    def sensor_noise(self) -> tuple[NoiseConfig, ...]:
+        """The sensors' errors, of which every reset draws one, also where `noise` has names of presets."""
+        return tuple(noise_from_name(one) for one in (self.noise if isinstance(self.noise, tuple) else (self.noise,)))
 
     @property
     def noise_name(self) -> str:
-        """The name of the noise preset, or ``"custom"``."""
-        presets = (name for name, preset in NOISE_PRESETS.items() if preset == self.sensor_noise)
-        return next(presets, "custom")
+        """The name of the noise preset, or ``"custom"``; several are joined by a plus sign."""
+        names = {preset: name for name, preset in NOISE_PRESETS.items()}
+        return "+".join(names.get(one, "custom") for one in self.sensor_noise)
 
 
 def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:

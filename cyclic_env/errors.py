@@ -1,10 +1,10 @@
-"""The errors that a user of the package can meet, all under one root."""
+"""The errors of the package, all under one root."""
 
 from __future__ import annotations
 
 
 class CyclicLoopError(Exception):
-    """Root of all errors raised on purpose; a command line prints it as one line."""
+    """Root of all errors that the package raises; command lines print them as one line."""
 
 
 class ConfigError(CyclicLoopError, ValueError):

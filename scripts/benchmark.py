@@ -39,10 +39,10 @@ from cyclic_env import ConfigError, CyclicLoopVectorEnv, FloorPlan, load_floor_p
 from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.config import LaserConfig, RobotConfig
 from cyclic_env.console import say
-from cyclic_env.simulation.lidar import beam_directions, scan, scan_row
+from cyclic_env.simulation.lidar import laser_beams, scan, scan_row
 from cyclic_env.simulation.physics import Simulation
 from cyclic_env.simulation.wall_index import build_wall_index
-from cyclic_env.task.loop_closure import allocate_memory
+from cyclic_env.task.path_history import allocate_memory
 
 ROOT = Path(__file__).resolve().parents[1]
 REPEATS = 5
@@ -81,10 +81,10 @@ class Row(NamedTuple):
 
 
 @njit(error_model="numpy")  # not cached: numba can't find a script's functions when it runs under another name
-def scan_all(tiles, poses, directions, range_max, scratch, ranges):
+def scan_all(tiles, poses, beams, scratch, ranges):
     """Scan from every pose, without the cost of a call from Python for each."""
     for i in range(poses.shape[0]):
-        scan_row(tiles, 0, poses[i, 0], poses[i, 1], poses[i, 2], directions, range_max, scratch, ranges[i])
+        scan_row(tiles, 0, poses[i, 0], poses[i, 1], poses[i, 2], beams, scratch, ranges[i])
 
 
 def best_time(function: Callable[[], Any], repeats: int = REPEATS) -> float:
@@ -117,9 +117,9 @@ def measure_laser() -> Iterator[Row]:
     """Time one scan of 180 beams on Killian Court, three ways."""
     plan, laser = load_floor_plan("killian_court"), LaserConfig()
     poses = free_poses(plan, 2000)
-    tiles, directions = build_wall_index(plan, laser.range_max), beam_directions(laser)
+    tiles, beams = build_wall_index(plan, laser.range_max), laser_beams(laser)
     scratch, ranges = np.empty(2 * laser.num_beams), np.empty((len(poses), laser.num_beams))
-    compiled_scan = best_time(lambda: scan_all(tiles, poses, directions, laser.range_max, scratch, ranges)) / len(poses)
+    compiled_scan = best_time(lambda: scan_all(tiles, poses, beams, scratch, ranges)) / len(poses)
     twin = best_time(lambda: [scan(plan.walls, pose, laser) for pose in poses[:50]]) / 50
     worst = max(float(abs(scan(plan.walls, pose, laser) - ranges[i]).max()) for i, pose in enumerate(poses[:200]))
 
@@ -248,9 +248,9 @@ def measure_phases() -> Iterator[Row]:
     phases = {name: seconds[stage] for stage, name in STAGES.items()}
     plan, laser, info = env.floor_plan(0), env.config.laser, env.info_records
     poses = np.column_stack([info["x"], info["y"], info["heading"]])
-    tiles, directions = build_wall_index(plan, laser.range_max), beam_directions(laser)
+    tiles, beams = build_wall_index(plan, laser.range_max), laser_beams(laser)
     scratch, ranges = np.empty(2 * laser.num_beams), np.empty((256, laser.num_beams))
-    scans = best_time(lambda: scan_all(tiles, poses, directions, laser.range_max, scratch, ranges), 50)
+    scans = best_time(lambda: scan_all(tiles, poses, beams, scratch, ranges), 50)
     phases["laser"] = scans * len(actions)
     phases[STAGES["judge"]] -= phases["laser"]  # which is part of it
     phases["rest"] = total - sum(phases.values())

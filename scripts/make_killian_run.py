@@ -49,12 +49,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     try:
         with tempfile.TemporaryDirectory() as folder:
             log = read_robot_log(download(Path(folder)))
-        degree = math.radians(1.0)
+        laser = dataclasses.replace(log.laser, field_of_view=math.radians(179.0), mounting_angle=math.radians(-0.5))
         log = dataclasses.replace(
             log,
             name="killian_run",
-            first_bearing=-90 * degree,
-            beam_spacing=degree,
+            laser=laser,
             laser_position=(0.0, 0.0),
             map_name=MAP,
             map_transform=align(log, load_floor_plan(MAP)),

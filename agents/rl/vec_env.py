@@ -15,7 +15,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from cyclic_env.envs.vector import CyclicLoopVectorEnv
+from cyclic_env import CyclicLoopVectorEnv
 from cyclic_env.errors import UsageError
 
 ROW_METHODS = ("trajectory", "seen_cells")

@@ -88,10 +88,10 @@ def fill(ranges, confirmed, out):
 
 
 def reliable_endpoints(scan: np.ndarray, measured: np.ndarray, range_max: float) -> np.ndarray:
-    """Return the ranges `(beams,)` of a scan whose ends lie on walls as measured; `range_max` for all others.
+    """Return the ranges `(..., beams)` of scans whose ends lie on walls as measured; `range_max` for all others.
 
     What takes the speckle out of a scan also rounds the corners that it sees, by more than noise: ends that it has
     moved would pull at a match, back to where the other scan was taken.
     """
     moved = np.abs(scan - measured)
-    return np.where(moved > SOUND + SOUND_NOISE * np.quantile(moved, 0.75), range_max, scan)
+    return np.where(moved > SOUND + SOUND_NOISE * np.quantile(moved, 0.75, axis=-1, keepdims=True), range_max, scan)

@@ -21,7 +21,7 @@ from cyclic_env.config import ClosureConfig, LaserConfig, RobotConfig
 from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.jit import compiled
-from cyclic_env.simulation.lidar import beam_directions, scan_row
+from cyclic_env.simulation.lidar import Beams, laser_beams, scan_row
 from cyclic_env.simulation.wall_index import WallIndex, build_wall_index
 
 SPACING = 1.0
@@ -52,7 +52,6 @@ CHUNK = 200
 """Places compared in one call of compiled code, between which Ctrl-C is heard and progress reported."""
 
 LASER = LaserConfig()
-RANGE_MAX = LASER.range_max
 BEAM_STRIDE = 77
 """Comparisons take every 77th beam next, which visits them all: a few beams then look all around, and most comparisons
 end early."""
@@ -84,7 +83,7 @@ class _Views(NamedTuple):
     Attributes
     ----------
     walls : WallIndex
-    directions : (2, 2 * beams) float64
+    beams : Beams
     positions : (m, 2) float64
         Metres.
     scans : (m, beams) float32
@@ -94,7 +93,7 @@ class _Views(NamedTuple):
     """
 
     walls: WallIndex
-    directions: np.ndarray
+    beams: Beams
     positions: np.ndarray
     scans: np.ndarray
     inverse: np.ndarray
@@ -123,7 +122,7 @@ def perceptual_aliasing(
     beams = np.arange(LASER.num_beams)
     views = _Views(
         walls=build_wall_index(plan, LASER.range_max),
-        directions=beam_directions(LASER),
+        beams=laser_beams(LASER),
         positions=positions,
         scans=np.empty((len(positions), len(beams)), np.float32),
         inverse=np.empty(2 * len(beams)),
@@ -277,7 +276,7 @@ def _difference_at(views, x, y, scan):
 @compiled
 def _scan_from(views, x, y):
     """Write the scan from (x, y), heading east, into the views' ranges."""
-    scan_row(views.walls, 0, x, y, 0.0, views.directions, RANGE_MAX, views.inverse, views.ranges)
+    scan_row(views.walls, 0, x, y, 0.0, views.beams, views.inverse, views.ranges)
 
 
 @compiled

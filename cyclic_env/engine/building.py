@@ -10,12 +10,13 @@ import numpy as np
 from cyclic_env.config import STEP_BUDGET_MAX, EnvConfig
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.simulation.lidar import beam_directions
+from cyclic_env.simulation.lidar import Beams, laser_beams
 from cyclic_env.simulation.physics import Simulation
 from cyclic_env.simulation.sensors import Sensors
 from cyclic_env.simulation.wall_index import WallIndex, build_wall_index, join_wall_indices
 from cyclic_env.task.coverage import CoverageGrid, build_coverage_grid, joined_coverage_grid
-from cyclic_env.task.loop_closure import ClosureMemory, ClosureRules, allocate_memory, closure_rules, joined_memory
+from cyclic_env.task.loop_closure import ClosureRules, closure_rules
+from cyclic_env.task.path_history import ClosureMemory, allocate_memory, joined_memory
 from cyclic_env.task.rewards import REWARD_TERMS, reward_weights
 
 BUDGET_LAPS = 3.0
@@ -84,8 +85,7 @@ class Buildings(NamedTuple):
     """What all robots share: the settings of the task, and the P plans in use."""
 
     tiles: WallIndex
-    directions: np.ndarray
-    range_max: float
+    beams: Beams
     scan_spacing: float
     coverage_complete: float
     rules: ClosureRules
@@ -113,8 +113,7 @@ def make_buildings(plan: FloorPlan, config: EnvConfig) -> Buildings:
     budget = np.array([step_budget(plan, config)], np.int64)
     return Buildings(
         tiles=build_wall_index(plan, config.laser.range_max),
-        directions=beam_directions(config.laser),
-        range_max=config.laser.range_max,
+        beams=laser_beams(config.laser),
         scan_spacing=config.coverage.scan_spacing,
         coverage_complete=config.coverage.complete,
         rules=closure_rules(config.closure),

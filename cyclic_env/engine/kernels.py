@@ -7,7 +7,8 @@ import math
 from cyclic_env.jit import compiled
 from cyclic_env.simulation.lidar import scan_row
 from cyclic_env.task.coverage import mark_scan
-from cyclic_env.task.loop_closure import advance, begin, building_view, judge_claim, robot_view, settle_event
+from cyclic_env.task.loop_closure import advance, begin, judge_claim, precision_of, recall_of, settle_event
+from cyclic_env.task.path_history import building_view, robot_view
 from cyclic_env.task.rewards import reward_row
 
 
@@ -24,15 +25,13 @@ def begin_episode(buildings, episodes, row, x, y, heading):
     plan, ranges, grid = episodes.plan_of[row], episodes.true_ranges[row], episodes.grid
     robot = robot_view(episodes.memory, row)
     begin(robot, building_view(episodes.memory, plan), x, y)
-    scan_row(
-        buildings.tiles, plan, x, y, heading, buildings.directions, buildings.range_max, episodes.scratch[row], ranges
-    )
+    scan_row(buildings.tiles, plan, x, y, heading, buildings.beams, episodes.scratch[row], ranges)
     grid.seen[row] = False
     outcome = episodes.outcome[row]
     outcome.reward, outcome.terminated, outcome.truncated, outcome.contact = 0.0, False, False, False
     outcome.cells_paid, outcome.episode_return = 0, 0.0
     outcome.cells_seen = mark_scan(
-        grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, buildings.directions, ranges
+        grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, buildings.beams.directions, ranges
     )
     episodes.terms[row] = 0.0
     info = episodes.info[row]
@@ -44,7 +43,7 @@ def begin_episode(buildings, episodes, row, x, y, heading):
 @compiled
 def judge_rows(buildings, episodes, rows, claimed):
     """Scan, mark, judge and reward the step that the robots `rows` have just driven."""
-    grid, rules, directions = episodes.grid, buildings.rules, buildings.directions
+    grid, rules, beams = episodes.grid, buildings.rules, buildings.beams
     scratch = episodes.scratch[rows[0] if len(rows) else 0]  # one for all: no other thread has the same first row
     for row in rows:
         plan, drive, ranges = episodes.plan_of[row], episodes.drive[row], episodes.true_ranges[row]
@@ -54,13 +53,13 @@ def judge_rows(buildings, episodes, rows, claimed):
         robot, building = robot_view(episodes.memory, row), building_view(episodes.memory, plan)
         status = robot.status
         x, y, heading = drive.x, drive.y, wrap_angle(drive.angle)
-        scan_row(buildings.tiles, plan, x, y, heading, directions, buildings.range_max, scratch, ranges)
+        scan_row(buildings.tiles, plan, x, y, heading, beams, scratch, ranges)
 
-        path_before, false_before = status.path, status.false_claims
+        path_before, false_before = status.path_length, status.false_claims
         advance(robot, building, rules, x, y)
-        if passed_multiple(path_before, status.path, buildings.scan_spacing):
+        if passed_multiple(path_before, status.path_length, buildings.scan_spacing):
             outcome.cells_seen += mark_scan(
-                grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, directions, ranges
+                grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, beams.directions, ranges
             )
         judge_claim(robot, building, rules, claimed[row])
         if drive.contact and not outcome.contact:
@@ -72,17 +71,14 @@ def judge_rows(buildings, episodes, rows, claimed):
         outcome.terminated = info.is_success or (buildings.terminate_on_collision and drive.contact)
         outcome.truncated = status.steps >= buildings.step_budget[plan] and not outcome.terminated
         if outcome.terminated or outcome.truncated:
-            settle_event(status, rules)
+            settle_event(robot, building, rules)
             report(info, status, outcome.cells_seen / cells_total, buildings.coverage_complete, x, y, heading)
-        outcome.reward = reward_row(
-            buildings.weights[plan],
-            (outcome.cells_seen - outcome.cells_paid) / cells_total,
-            status.new_cycle,
-            status.false_claims - false_before,
-            status.missed_now,
-            drive.contact,
-            episodes.terms[row],
-        )
+        newly_seen = (outcome.cells_seen - outcome.cells_paid) / cells_total
+        crashed = outcome.terminated and not info.is_success
+        charged_steps = 1 + (buildings.step_budget[plan] - status.steps if crashed else 0)
+        false_claims = status.false_claims - false_before
+        units = (newly_seen, status.new_cycle, false_claims, status.missed_now, drive.contact, charged_steps)
+        outcome.reward = reward_row(buildings.weights[plan], units, episodes.terms[row])
         outcome.cells_paid = outcome.cells_seen
         outcome.episode_return += outcome.reward
 
@@ -107,9 +103,8 @@ def report(info, status, share_seen, share_complete, x, y, heading):
     info.false_claims = status.false_claims
     info.revisits = status.revisits
     info.revisits_recognised = status.recognised
-    judged = status.recognised + status.false_claims
-    info.precision = status.recognised / judged if judged > 0 else 1.0
-    info.recall = status.recognised / status.revisits if status.revisits > 0 else 1.0
+    info.precision = precision_of(status)
+    info.recall = recall_of(status)
     info.new_cycle = status.new_cycle
-    info.path_length_m = status.path
+    info.path_length_m = status.path_length
     info.x, info.y, info.heading = x, y, heading

@@ -28,13 +28,14 @@ from cyclic_env.task.rewards import REWARD_TERMS
 
 
 class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
-    """A robot explores a building full of loops, and must say when it is back at a place that it knows, and which.
+    """A robot explores a building full of loops and has to recognize the places that it returns to.
 
-    The robot has two wheels, a laser, a distance meter and a compass. Corridors close on themselves: a *cycle*
-    is a block of the building that the robot can drive around. At every step the robot may claim to be back where
-    it was some steps ago. The claim is judged against the truth, and closes a cycle when the loop that it
-    completes goes around the building in a way that none before did. An episode succeeds when the building is
-    seen and all of its cycles are closed.
+    The robot has two wheels, a laser, a distance meter and a compass. The corridors close on themselves: a *cycle* is a
+    block of the building that the robot can drive around, in a lap of at least 40 m with two points at least 10 m apart
+    (see `cyclic_env.floor_plans.cycles`). In every step the robot may claim to be back where it was some steps ago. The
+    claim is judged by the true positions. A correct claim closes a new cycle when the loop that it completes runs
+    around the blocks of the building in a way that no combination of the loops before it does. An episode succeeds when
+    the whole building has been seen and all of its cycles are closed.
 
     **Action space**, by `action_type`:
 
@@ -44,11 +45,12 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | ``"twist"`` | ``Box(-1, 1, (4,), float32)`` | v (x 1.2 m/s), omega (x 3 rad/s), claim, match |
     | ``"discrete"`` | ``MultiDiscrete([5, 2])`` | stop, forward, left, right, back; claim or not |
 
-    A claim above 0 says "I am back at a known place", and match says when the robot was here: at step
-    ``k = rint((match + 1) / 2 * t)`` of the t steps so far, this one counted; k = 0 is the start. With discrete
-    actions the environment itself takes the nearest step that t returns to (a false claim where there is none), and
-    so tests the detection alone: do not compare it with the other types. There left and right turn
-    on the spot at 0.9 rad/s. Values out of range are clipped; a twist beyond the wheels' limit shrinks as a whole.
+    A claim above 0 says "I am back at a known place", and match says when the robot was here before: at step
+    ``k = rint((match + 1) / 2 * t)`` of the t steps so far, including this one; k = 0 is the start. A discrete claim
+    names no step. The environment takes the nearest one that the robot returns to (without one, the claim is false), so
+    it tests detection alone, and results can't be compared with those of the other types. Discrete left and right turn
+    on the spot at 0.9 rad/s. Values out of range are clipped; a twist that is too fast for the wheels is scaled down as
+    a whole.
 
     **Observation space**, a ``Dict`` of float32:
 
@@ -58,8 +60,8 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | ``distance`` | ``Box(-1e5, 1e5, (1,))`` | metres driven along the heading; reverse subtracts |
     | ``compass`` | ``Box(-1, 1, (2,))`` | unit vector of the heading, east and north |
 
-    Wheels that spin at a wall add no distance.
-    Dead reckoning is ``position += (distance - previous_distance) * compass``.
+    Wheels that spin at a wall add no distance. Dead reckoning is
+    ``position += (distance - previous_distance) * compass``.
 
     **Reward**: the sum of ``info["reward_terms"]``; a perfect episode is worth 100 less its time.
 
@@ -68,34 +70,34 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | ``coverage`` | 50 x share of the free cells newly seen (100 where the building has no cycle) |
     | ``new_cycle`` | 50 / cycles of the building, for each one closed |
     | ``false_claim`` | -5 for each |
-    | ``missed_revisit`` | -1 for each stretch of known ground that the robot passed without a correct claim |
+    | ``missed_revisit`` | -1 for each stretch of known ground, once, that the robot passed without a correct claim |
     | ``collision`` | -40 / step budget, for each step in which a wall pushed back |
-    | ``time`` | -10 / step budget, for each step |
+    | ``time`` | -10 / step budget, for each step; a collision that ends the episode is charged the rest of them |
 
     What the scan at the start sees is paid in the first step.
 
-    **Info** holds the same keys at every reset and step, Python scalars all but the last: ``is_success``,
-    ``coverage`` (share of the free cells seen), ``cycles_closed``, ``cycles_total``, ``revisit`` (the truth at this
-    step), ``claim_judged``, ``claim_correct``, ``claim_error_m`` (distance between the two places of a judged claim;
-    0.0 without one), ``claims`` (judged so far), ``false_claims``, ``revisits`` (settled so far),
-    ``revisits_recognised``, ``precision``, ``recall`` (1.0 where nothing could be wrong), ``new_cycle``,
-    ``collisions`` (contacts begun), ``path_length_m``, ``x``, ``y``, ``heading`` (the truth), ``reward_terms`` (dict
-    of floats).
-    What a revisit, a claim and a cycle are is defined in `cyclic_env.task.loop_closure`.
+    **Info** has the same keys after every reset and step. Its values are Python scalars: ``is_success``, ``coverage``
+    (share of the free cells that have been seen), ``cycles_closed``, ``cycles_total``, ``revisit`` (whether this step
+    truly is one), ``claim_judged``, ``claim_correct``, ``claim_error_m`` (distance between the two positions of a
+    judged claim; 0.0 without one), ``claims`` (judged so far), ``false_claims``, ``revisits`` (settled so far),
+    ``revisits_recognised``, ``precision``, ``recall`` (both 1.0 as long as nothing could be wrong), ``new_cycle``,
+    ``collisions`` (contacts begun), ``path_length_m``, and the true ``x``, ``y`` and ``heading``; and ``reward_terms``,
+    a dict of floats. `cyclic_env.task.loop_closure` defines revisits, claims and cycles.
 
-    **Start**: the plan's own, at rest; or ``reset(options={"start": (x, y, heading)})``; or random with `random_start`.
+    **Start**: at rest, at the start of the plan or of ``reset(options={"start": (x, y, heading)})``, or at a random one
+    with ``random_start=True``.
 
-    **Episode end**: terminated when 99 % of the cells are seen and all cycles are closed (``is_success``), or at the
-    first contact with ``terminate_on_collision=True``; truncated after `step_budget` steps.
+    **Episode end**: terminated when 99 % of the cells have been seen and all cycles are closed (``is_success``), or at
+    the first contact with ``terminate_on_collision=True``; truncated after `step_budget` steps.
 
     Parameters
     ----------
     map_name : str, path, FloorPlan, or a list of these, optional
-        A shipped plan (``cyclic_env.map_names()``), a YAML file, ours or that of a map of ROS, a generated building
-        (``"generated:cycles=4,seed=7"``), or a plan itself. A list is a pool, and so is ``"generated:train"``: every
-        reset draws one. Give names, and paths as text, where the environment's ``spec`` is to be written as JSON.
+        A shipped plan (``cyclic_env.map_names()``), a YAML file (a floor plan or a ROS map), a generated building
+        (``"generated:cycles=4,seed=7"``), or a plan itself. A list is a pool, as is ``"generated:train"``: every reset
+        draws one of its plans. The environment's ``spec`` can be written as JSON if maps are given as text.
     config : EnvConfig or mapping, optional
-        All settings at once.
+        All settings at once; by default the default settings.
     render_mode : {"human", "rgb_array"}, optional
     **settings
         Single fields of `cyclic_env.EnvConfig`, which lists them all, in place of the config's: ``noise="typical"``,
@@ -110,11 +112,12 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     Raises
     ------
     ConfigError, FloorPlanError, ActionError, UsageError
-        All of them `CyclicLoopError`: one line that says what is wrong and what to do.
+        All are `CyclicLoopError`: one line that says what is wrong and what to do.
 
     Version history
     ---------------
-    v0: the first.
+    v0: the first. Since rules 2 (`cyclic_env.task.loop_closure.RULES_VERSION`) ground counts once for revisit events,
+    and with them for ``missed_revisit``, precision and recall; a correct claim just before an event recognises it.
 
     References
     ----------
@@ -173,7 +176,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Drive for 0.2 s, and make a claim or none."""
+        """Drive for one control step (0.2 s), and judge the claim if the action makes one."""
         with self._access:
             if not self._running:
                 raise UsageError("there is no running episode: call reset() first, and again after each episode.")
@@ -207,7 +210,7 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         return self.engine.trajectory(0)
 
     def claims(self) -> np.ndarray:
-        """Return the judged claims since the reset, in order: `(n,)` records of `cyclic_env.task.loop_closure.CLAIM`.
+        """Return the judged claims since the reset, in order: `(n,)` records of `cyclic_env.task.path_history.CLAIM`.
 
         They were made at ``trajectory()[claims["step"]]``, and named ``trajectory()[claims["match"]]`` unless the match
         is -1.

@@ -133,8 +133,17 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
             self._reset_rows(rows, starts)
             return self.engine.observation(), self._infos(mask)
 
-    def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: Any, *, active: np.ndarray | None = None
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step every row, and reset those that the autoreset mode says.
+
+        Parameters
+        ----------
+        actions : (N, ...) array
+        active : (N,) bool, optional
+            With ``DISABLED``: leave the other rows out, as ended ones must be until they are reset. They draw
+            nothing, and what is returned of them is that of their last step but for the reward, which is 0.
 
         Raises
         ------
@@ -146,12 +155,16 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         """
         with self._access:
             ended = self._ended.copy()
-            if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
+            disabled = self.autoreset_mode == AutoresetMode.DISABLED
+            if active is not None and not disabled:
+                raise UsageError("only with the autoreset mode DISABLED can rows be left out of a step.")
+            skip = ended if active is None else ~active
+            if disabled and (ended if active is None else ended & active).any():
                 rows = short_repr(np.flatnonzero(ended).tolist())
                 raise UsageError(
                     f"the episodes of rows {rows} have ended: reset them with options={{'reset_mask': mask}} first."
                 )
-            self.engine.step(actions, self._rngs, skip=ended if ended.any() else None)
+            self.engine.step(actions, self._rngs, skip=skip if skip.any() else None)
             outcome = self.engine.outcome
             rewards, terminated, truncated = (
                 outcome["reward"].copy(),
@@ -160,9 +173,10 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
             )
             if self.max_episode_steps is not None:
                 truncated |= self.engine.steps >= self.max_episode_steps
-            if ended.any():  # only with NEXT_STEP
+            rewards[skip] = 0.0
+            if ended.any() and not disabled:  # NEXT_STEP
                 self._reset_rows(np.flatnonzero(ended))
-                rewards[ended], terminated[ended], truncated[ended] = 0.0, False, False
+                terminated[ended], truncated[ended] = False, False
             ended = self._ended = terminated | truncated
             infos: dict[str, Any] = {}
             if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():

@@ -381,7 +381,7 @@ def evaluate(
     return Evaluation(
         agent=agent,
         map=map_label,
-        noise=noise if isinstance(noise, str) else "custom",
+        noise=config.noise_name,
         action_type=config.action_type,
         random_start=config.random_start,
         episodes=records,

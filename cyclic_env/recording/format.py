@@ -20,11 +20,12 @@ import numpy as np
 
 from cyclic_env import __version__
 from cyclic_env.atomic_write import atomic_write
-from cyclic_env.config import NOISE_PRESETS, NoiseConfig, from_mapping
+from cyclic_env.config import EnvConfig
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.errors import ConfigError, CyclicLoopError, RecordingError
 from cyclic_env.floor_plans import FloorPlan, floor_plan_from_text, floor_plan_to_text
-from cyclic_env.task.loop_closure import CLAIM
+from cyclic_env.task.loop_closure import RULES_VERSION
+from cyclic_env.task.path_history import CLAIM
 from cyclic_env.validation import as_array, short_repr
 
 LAYOUT = 1
@@ -122,8 +123,7 @@ class Recording:
     @property
     def noise(self) -> str:
         """Name of the noise preset, or ``"custom"``."""
-        noise = from_mapping(NoiseConfig, self.settings["noise"])
-        return next((name for name, preset in NOISE_PRESETS.items() if preset == noise), "custom")
+        return EnvConfig(noise=self.settings["noise"]).noise_name
 
     def make_env(self, render_mode: str | None = None) -> CyclicLoopEnv:
         """Return an environment in the state that the recorded one had before its reset.
@@ -151,9 +151,15 @@ def observation_digest(observation: Mapping[str, np.ndarray]) -> int:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of everything that an episode's bits depend on."""
+    """Return the versions of everything that an episode's bits depend on, among them the rules of loop closure."""
     packages = {name: importlib.metadata.version(name) for name in PACKAGES}
-    return {"cyclic_env": __version__, "python": platform.python_version(), **packages, "machine": platform.machine()}
+    return {
+        "cyclic_env": __version__,
+        "closure_rules": str(RULES_VERSION),
+        "python": platform.python_version(),
+        **packages,
+        "machine": platform.machine(),
+    }
 
 
 def check_track(name: str, track: Any) -> np.ndarray:

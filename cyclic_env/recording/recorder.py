@@ -137,11 +137,12 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
         actions, rewards, poses, distance, compass, digests, laser = zip(*self._rows, strict=True)
         kind, columns = (np.int64, 2) if config.action_type == "discrete" else (np.float64, 4)
         distance, compass = np.concatenate(distance), np.stack(compass)
+        noise = [asdict(one) for one in config.sensor_noise]
         return Recording(
             plans=tuple(self._core.floor_plans),
             shipped=self._shipped,
             settings={name: value for name, value in asdict(config).items() if name != "map_name"}
-            | {"noise": asdict(config.sensor_noise)},
+            | {"noise": noise if len(noise) > 1 else noise[0]},
             **self._reset,
             versions=versions(),
             map=self._core.floor_plan.name,

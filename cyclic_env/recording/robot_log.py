@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import zipfile
@@ -12,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from cyclic_env.atomic_write import atomic_write
-from cyclic_env.errors import RecordingError
+from cyclic_env.config import LaserConfig, from_mapping
+from cyclic_env.errors import ConfigError, RecordingError
 from cyclic_env.trajectory.poses import relative, wrap_angle
 
 LAYOUT = 1
@@ -24,14 +26,10 @@ NO_HIT = math.inf
 NO_HIT_CM = 65_535
 """`NO_HIT` in a file, whose ranges are whole centimetres."""
 
-BEAMS_MIN = 4
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RobotLog:
     """Scans of a laser and the odometry of the robot that carried it.
-
-    Bearings are in the robot's frame: they include the angle at which the laser is mounted.
 
     Attributes
     ----------
@@ -40,12 +38,8 @@ class RobotLog:
         Time of each scan, seconds, increasing.
     ranges : (n, num_beams) float32
         Metres, or `NO_HIT`.
-    first_bearing : float
-        Bearing of beam 0, radians, counter-clockwise from straight ahead.
-    beam_spacing : float
-        Angle from each beam to the next, counter-clockwise, radians.
-    range_max : float
-        Greatest range that the laser can measure, metres.
+    laser : LaserConfig
+        Its bearings are in the robot's frame.
     laser_position : (x, y)
         Position of the laser in the robot's frame, metres.
     odometry : (n, 3) float64
@@ -61,9 +55,7 @@ class RobotLog:
     name: str
     times: np.ndarray
     ranges: np.ndarray
-    first_bearing: float
-    beam_spacing: float
-    range_max: float
+    laser: LaserConfig
     odometry: np.ndarray
     laser_position: tuple[float, float] = (0.0, 0.0)
     reference: np.ndarray | None = None
@@ -71,9 +63,9 @@ class RobotLog:
     map_transform: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
-        n, beams = self.ranges.shape
-        if n < 2 or beams < BEAMS_MIN:
-            raise RecordingError(f"holds {n} scans of {beams} beams; expected at least 2 scans of {BEAMS_MIN} beams.")
+        n = len(self.times)
+        if n < 2 or self.ranges.shape != (n, self.laser.num_beams):
+            raise RecordingError(f"holds {n} times and scans of shape {self.ranges.shape}; expected at least 2 scans.")
         for what, array in (("times", self.times), ("odometry", self.odometry), ("reference poses", self.reference)):
             if array is not None and not (len(array) == n and np.isfinite(array).all()):
                 raise RecordingError(f"its {what} must have a finite row for each of {n} scans.")
@@ -83,19 +75,9 @@ class RobotLog:
             raise RecordingError(
                 f"is not sorted by time: scan {i + 1} is {self.times[i] - self.times[i + 1]:.3g} s before scan {i}."
             )
-        if not (0 < self.range_max < math.inf and 0 < beams * self.beam_spacing < 1.01 * math.tau):
-            raise RecordingError(
-                f"its laser is impossible: {beams} beams at {math.degrees(self.beam_spacing):g} degrees, "
-                f"up to {self.range_max:g} m."
-            )
 
     def __len__(self) -> int:
         return len(self.times)
-
-    @property
-    def bearings(self) -> np.ndarray:
-        """Bearing of each beam in the robot's frame, radians, `(num_beams,)`."""
-        return self.first_bearing + self.beam_spacing * np.arange(self.ranges.shape[1])
 
     @property
     def distance(self) -> np.ndarray:
@@ -129,7 +111,47 @@ class RobotLog:
         return RobotLog(**fields)
 
 
-_HEADER = ("name", "first_bearing", "beam_spacing", "range_max", "laser_position", "map_name", "map_transform")
+def laser_of_beams(
+    ranges: np.ndarray, first_bearing: float, spacing: float, range_max: float
+) -> tuple[np.ndarray, LaserConfig]:
+    """Return the laser of evenly spaced beams, and its ranges: valid ones are kept, others become `NO_HIT`.
+
+    Parameters
+    ----------
+    ranges : (n, num_beams) array
+        Metres; a beam that repeats beam 0 after a full turn is left out.
+    first_bearing, spacing : float
+        Bearing of beam 0 in the robot's frame, and the angle from each beam to the next (clockwise: negative), radians.
+    range_max : float
+        Readings from this range on, in metres, are no hits.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such laser.
+    """
+    if spacing < 0:
+        ranges, first_bearing, spacing = ranges[:, ::-1], first_bearing + spacing * (ranges.shape[1] - 1), -spacing
+    in_a_turn = round(math.tau / spacing) if spacing > 0 else 0
+    if abs(in_a_turn * spacing - math.tau) < 0.5 * spacing:
+        ranges = ranges[:, :in_a_turn]
+    beams = ranges.shape[1]
+    all_around = beams == in_a_turn
+    field_of_view = math.tau if all_around else (beams - 1) * spacing
+    try:
+        laser = LaserConfig(
+            num_beams=beams,
+            range_max=range_max,
+            field_of_view=field_of_view,
+            mounting_angle=float(wrap_angle(first_bearing + (0.0 if all_around else 0.5 * field_of_view))),
+        )
+    except ConfigError as error:
+        raise RecordingError(f"its laser is impossible: {error}") from error
+    ranges = np.asarray(ranges, np.float32)
+    return np.where((ranges > 0) & (ranges < range_max), ranges, np.float32(NO_HIT)), laser
+
+
+_HEADER = ("name", "laser_position", "map_name", "map_transform")
 
 
 def write_robot_log(log: RobotLog, path: str | Path) -> None:
@@ -140,7 +162,8 @@ def write_robot_log(log: RobotLog, path: str | Path) -> None:
     RecordingError
         If the file can't be written.
     """
-    header = {"layout": LAYOUT, "kind": "robot log"} | {name: getattr(log, name) for name in _HEADER}
+    header = {"layout": LAYOUT, "kind": "robot log", "laser": dataclasses.asdict(log.laser)}
+    header |= {name: getattr(log, name) for name in _HEADER}
     hits = np.isfinite(log.ranges)
     centimetres = np.where(hits, np.round(100 * np.where(hits, log.ranges, 0)), NO_HIT_CM).astype(np.uint16)
     arrays = {"ranges_cm": centimetres, "times": log.times, "odometry": log.odometry.astype(np.float32)}
@@ -175,6 +198,7 @@ def read_npz(path: Path) -> RobotLog:
         return RobotLog(
             **{name: header[name] for name in _HEADER}
             | {"laser_position": tuple(header["laser_position"]), "map_transform": transform and tuple(transform)},
+            laser=from_mapping(LaserConfig, header["laser"]),
             times=file["times"],
             ranges=ranges,
             odometry=file["odometry"].astype(np.float64),

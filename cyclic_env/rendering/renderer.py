@@ -134,6 +134,8 @@ class RobotSnapshot:
         Endpoints of the last scan's beams, as seen from the true pose.
     is_hit : (num_beams,) bool
         Whether a beam ends before the laser's maximum range.
+    sees_all_around : bool
+        Whether the beams are all around the robot.
     track : (t + 1, 3) float64
         x, y and path length of every step.
     claims : (n,) CLAIM
@@ -148,6 +150,7 @@ class RobotSnapshot:
     pose: tuple[float, float, float]
     hits_world: np.ndarray
     is_hit: np.ndarray
+    sees_all_around: bool
     track: np.ndarray
     claims: np.ndarray
     seen: np.ndarray
@@ -162,12 +165,13 @@ class RobotSnapshot:
         info, config = engine.info[row], engine.config
         x, y, heading = float(info["x"]), float(info["y"]), float(info["heading"])
         ranges = engine.sensors.ranges[row]
-        bearings = heading + config.laser.beam_spacing * np.arange(config.laser.num_beams)
+        bearings = heading + config.laser.bearings
         west, south, _, _ = engine.plan(row).bounds
         return cls(
             pose=(x, y, heading),
             hits_world=np.array([x, y]) + ranges[:, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1),
             is_hit=ranges < config.laser.range_max,
+            sees_all_around=config.laser.sees_all_around,
             track=engine.trajectory(row),
             claims=engine.claims(row),
             seen=engine.seen_cells(row),
@@ -277,11 +281,12 @@ def _draw_path(picture: pygame.Surface, view: View, snapshot: RobotSnapshot, zoo
 def _draw_beams(picture: pygame.Surface, view: View, snapshot: RobotSnapshot, zoom: int) -> None:
     """Draw the last scan as a fan, with a dot where a beam hit something."""
     endpoints = view.pixels(snapshot.hits_world)
-    low = np.maximum(np.floor(endpoints.min(axis=0)) - 1, 0)
-    high = np.minimum(np.ceil(endpoints.max(axis=0)) + 2, picture.get_size())
+    outline = endpoints if snapshot.sees_all_around else np.vstack([endpoints, view.pixels(snapshot.pose[:2])])
+    low = np.maximum(np.floor(outline.min(axis=0)) - 1, 0)
+    high = np.minimum(np.ceil(outline.max(axis=0)) + 2, picture.get_size())
     layer = transparent_surface((int(high[0] - low[0]), int(high[1] - low[1])))
     layer.fill((*BEAM, 0))
-    pygame.draw.polygon(layer, (*BEAM, FAN_ALPHA), endpoints - low)
+    pygame.draw.polygon(layer, (*BEAM, FAN_ALPHA), outline - low)
     if zoom > 1:
         x, y = view.pixels(snapshot.pose[:2]) - low
         for endpoint in endpoints - low:

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import gymnasium
 import numpy as np
 
-from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
+from cyclic_env import CyclicLoopEnv
 from cyclic_env.errors import ConfigError
 from cyclic_env.trajectory.dead_reckoning import dead_reckon
 from cyclic_env.validation import check_choice, short_repr
@@ -119,7 +119,7 @@ class Play:
         """Dead-reckoned endpoints of the last scan's beams that hit something, `(n, 2)`."""
         x, y, heading, _ = self.track[-1]
         laser, ranges = self.core.config.laser, self._observation["laser"]
-        bearings = heading + laser.beam_spacing * np.arange(laser.num_beams)
+        bearings = heading + laser.bearings
         endpoints = np.array([x, y]) + ranges[:, None] * np.stack([np.cos(bearings), np.sin(bearings)], axis=1)
         return endpoints[ranges < laser.range_max]
 

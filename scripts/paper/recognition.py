@@ -21,7 +21,8 @@ from agents.knn.loop_detector import Detector
 from agents.knn.similarity import measure_by_name
 from agents.slam.keyframes import Keyframes
 from cyclic_env.config import ClosureConfig
-from scripts.paper.runs import ELSEWHERE, RETURNS, RunRecord
+from cyclic_env.task.loop_closure import ELSEWHERE, RETURNS
+from scripts.paper.runs import RunRecord
 
 GAP = ClosureConfig().gap
 """Metres driven since, as in the definition of a return."""

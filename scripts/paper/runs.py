@@ -13,15 +13,12 @@ from agents.knn.config import ExplorerConfig, preset
 from agents.knn.directions import sector_features
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.slam.scan_filters import despeckle
-from cyclic_env.config import ClosureConfig, NoiseConfig, noise_from_name
-from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
-from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.simulation.wall_index import build_wall_index
-from cyclic_env.task.loop_closure import line_of_sight
+from cyclic_env import CyclicLoopEnv
+from cyclic_env.config import NoiseConfig, noise_from_name
+from cyclic_env.task.judgement import true_returns
+from cyclic_env.task.loop_closure import RETURNS
 from cyclic_env.trajectory.metrics import ate
 
-RETURNS, ELSEWHERE, NEITHER = 1, 0, -1
-"""Of a row and an earlier one: a claim would be right, false, or ignored for want of gap or leave (near, in sight)."""
 BEAM_ROUNDING = 0.5
 """Metres that the beams are whole multiples of, like the properties by default."""
 
@@ -56,7 +53,7 @@ class RunRecord:
     way: np.ndarray
     """True x, y and path length of every step, `(t + 1, 3)` float32, metres."""
     claims: np.ndarray
-    """Judged claims, `(c,)` of `cyclic_env.task.loop_closure.CLAIM`."""
+    """Judged claims, `(c,)` of `cyclic_env.task.path_history.CLAIM`."""
     step: np.ndarray
     """`(n,)`."""
     path: np.ndarray
@@ -72,7 +69,7 @@ class RunRecord:
     beams: np.ndarray
     """Ranges in multiples of `BEAM_ROUNDING`, `(n, beams)` uint8."""
     truth: np.ndarray
-    """`(n, n)` int8: `RETURNS`, `ELSEWHERE` or `NEITHER` of row i and an earlier row j; `ELSEWHERE` for others."""
+    """`(n, n)` int8: how row i relates to an earlier row j, as `true_returns` tells it."""
     areas: np.ndarray
     """Open areas' list: true positions `(m, 2)`, metres."""
 
@@ -160,40 +157,9 @@ def _record(env: CyclicLoopEnv, memory: Memory, metrics: dict[str, Any], heading
         group=keyframes.group.copy(),
         features=keyframes.features.astype(np.int16),
         beams=np.rint(keyframes.scan / BEAM_ROUNDING).astype(np.uint8),
-        truth=closure_truth(env.floor_plan, way, keyframes.step, env.config.closure),
+        truth=true_returns(env.floor_plan, way, keyframes.step, env.config.closure),
         areas=np.array(areas).reshape(-1, 2),
     )
-
-
-def closure_truth(plan: FloorPlan, way: np.ndarray, steps: np.ndarray, closure: ClosureConfig) -> np.ndarray:
-    """Return how a claim at each row that it is back at an earlier one would be judged.
-
-    Parameters
-    ----------
-    plan : FloorPlan
-    way : (t + 1, 3)
-        As of ``env.trajectory()``.
-    steps : (n,)
-        Of the rows, ascending.
-    closure : ClosureConfig
-
-    Returns
-    -------
-    (n, n) int8
-        As `RunRecord.truth`, by the definition of `cyclic_env.task.loop_closure`.
-    """
-    tiles = build_wall_index(plan, closure.return_radius)
-    truth = np.full((len(steps), len(steps)), ELSEWHERE, np.int8)
-    for i, step in enumerate(steps.tolist()):
-        off = np.hypot(*(way[: step + 1, :2] - way[step, :2]).T)
-        away = np.flatnonzero(off >= closure.leave_radius)
-        last_away = away[-1] if len(away) else -1
-        for j in np.flatnonzero(off[steps[:i]] <= closure.return_radius).tolist():
-            earlier = steps[j]
-            if line_of_sight(tiles, 0, *way[step, :2], *way[earlier, :2]):
-                long_ago = way[step, 2] - way[earlier, 2] >= closure.gap and earlier < last_away
-                truth[i, j] = RETURNS if long_ago else NEITHER
-    return truth
 
 
 def drive_again(record: RunRecord, settings: RunSettings, laps: int, *, noise: str, seed: int = 0) -> RunRecord:
@@ -237,7 +203,9 @@ def drive_again(record: RunRecord, settings: RunSettings, laps: int, *, noise: s
     step = np.concatenate([record.step, np.arange(first, len(way))])
     truth = np.zeros((0, 0), np.int8)
     if laps == 2:
-        truth = closure_truth(env.floor_plan, way, step, env.config.closure)
+        driven_so_far = np.maximum.accumulate(way[:, 2])  # some rows are shifted to before the one before them
+        judged = np.column_stack([way[:, :2], driven_so_far])
+        truth = true_returns(env.floor_plan, judged, step, env.config.closure)
     env.close()
     groups = int(record.group[-1]) + 1
     return replace(

@@ -13,6 +13,7 @@ import numpy as np
 from agents.knn.similarity import MEASURES
 from cyclic_env import map_names
 from cyclic_env.evaluation.rollout import mean_interval
+from cyclic_env.task.loop_closure import RETURNS
 from scripts.paper.cache import Cache
 from scripts.paper.recognition import (
     VECTORS,
@@ -24,7 +25,7 @@ from scripts.paper.recognition import (
     vote_summary,
     votes,
 )
-from scripts.paper.runs import RETURNS, RunRecord, RunSettings, drive_again
+from scripts.paper.runs import RunRecord, RunSettings, drive_again
 
 GOLDEN = np.array([7, 7, 7, 7, 7, 7, 27.0]), np.array([8, 8, 7, 7, 7, 7, 25.0])
 """The pair of feature vectors that gives all of the paper's Table 1 at once."""

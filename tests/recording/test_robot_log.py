@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cyclic_env import ConfigError, RecordingError
+from cyclic_env import ConfigError, LaserConfig, RecordingError
 from cyclic_env.recording.readers import BagOptions, read_robot_log
 from cyclic_env.recording.robot_log import NO_HIT, RobotLog, write_robot_log
 from cyclic_env.trajectory.metrics import ate
@@ -20,22 +20,22 @@ from cyclic_env.trajectory.poses import compose, interpolate, relative
 RNG = np.random.default_rng(0)
 N, BEAMS = 12, 8
 MOUNTING = np.array([0.2, 0.1, 0.3])
+SPACING = math.pi / BEAMS
+LASER = LaserConfig(num_beams=BEAMS, range_max=8.0, field_of_view=math.pi - SPACING, mounting_angle=0.3 - SPACING / 2)
 
 
-def make_log(name: str = "run", mounting: np.ndarray = MOUNTING) -> RobotLog:
+def make_log() -> RobotLog:
     """Return a log of a robot on a bent path."""
     headings = np.linspace(-3.0, 3.6, N)
     steps = 0.4 * np.stack([np.cos(headings), np.sin(headings)], axis=1)
     ranges = np.round(RNG.uniform(0.5, 7.9, (N, BEAMS)), 2).astype(np.float32)
     ranges[3, :2] = NO_HIT
     return RobotLog(
-        name=name,
+        name="run",
         times=1_000_000_000.25 + 0.5 * np.arange(N),
         ranges=ranges,
-        first_bearing=-math.pi / 2 + mounting[2],
-        beam_spacing=math.pi / BEAMS,
-        range_max=8.0,
-        laser_position=(mounting[0], mounting[1]),
+        laser=LASER,
+        laser_position=(0.2, 0.1),
         odometry=np.column_stack([np.cumsum(steps, axis=0), np.mod(headings + math.pi, math.tau) - math.pi]),
     )
 
@@ -157,15 +157,15 @@ def test_every_format_gives_the_same_log(kind: str, tmp_path: Path) -> None:
     read = read_robot_log(path, **options)
     assert read.times == pytest.approx(log.times, abs=1e-6)
     assert read.ranges == pytest.approx(log.ranges, abs=1e-5)
-    assert read.range_max == 8.0
+    assert read.laser.range_max == 8.0
     if kind == "g2o":  # its odometry begins at the origin
         assert read.reference == pytest.approx(compose([5, 6, 0.7], log.odometry), abs=1e-6)
         log = dataclasses.replace(log, odometry=relative(log.odometry[0], log.odometry))
     assert read.odometry == pytest.approx(log.odometry, abs=1e-5)
     if kind == "RAWLASER1":  # this message doesn't say where the laser is mounted
-        assert read.bearings == pytest.approx(log.bearings - MOUNTING[2])
+        assert read.laser.bearings == pytest.approx(log.laser.bearings - MOUNTING[2])
     else:
-        assert read.bearings == pytest.approx(log.bearings, abs=1e-5)
+        assert read.laser.bearings == pytest.approx(log.laser.bearings, abs=1e-5)
         assert read.laser_position == pytest.approx(log.laser_position, abs=1e-5)
 
 
@@ -202,9 +202,7 @@ def test_distance_is_signed_and_follows_chords() -> None:
         name="arc",
         times=angles,
         ranges=np.ones((31, 4), np.float32),
-        first_bearing=0.0,
-        beam_spacing=0.1,
-        range_max=5.0,
+        laser=LaserConfig(num_beams=4),
         odometry=poses,
     )
     chord = 4 * math.sin(angles[1] / 2)
@@ -230,7 +228,7 @@ def bad_files(folder: Path) -> dict[str, tuple[Path, str]]:
         "cut.log": ([*flaser[:6], flaser[6][:50]], "line 7 is damaged: FLASER 8"),
         "word.log": ([line.replace(".", "x") for line in flaser], "line 4 is damaged"),
         "unsorted.log": (flaser[:5] + flaser[4:3:-1] + flaser[3:4], "is not sorted by time: scan 3 is"),
-        "one.log": (flaser[:4], "holds 1 scans"),
+        "one.log": (flaser[:4], "holds 1 times"),
         "beams.log": ([*flaser, flaser[-1].replace("FLASER 8 ", "FLASER 7 ")], "scan 12 has 7 beams"),
         "still.log": ([line for line in raw if not line.startswith("ODOM")], "no odometry (ODOM)"),
         "empty.g2o": ([], "holds 0 vertices with 0 scans"),
@@ -269,7 +267,7 @@ def test_a_bag_that_lacks_something_says_what(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match=r"doesn't connect the laser \('laser'\) with the robot \('base_link'\)"):
         read_robot_log(tmp_path / "mounting")
     mounted = read_robot_log(tmp_path / "mounting", bag=BagOptions(mounting=(0.2, 0.1, 0.3)))
-    assert mounted.bearings == pytest.approx(log.bearings)
+    assert mounted.laser.bearings == pytest.approx(log.laser.bearings)
     with pytest.raises(RecordingError, match="has no LaserScan topic '/front'; it has /scan"):
         read_robot_log(tmp_path / "mounting", bag=BagOptions(scan_topic="/front"))
     write_bag(log, tmp_path / "wheels", odometry=False)
@@ -287,8 +285,8 @@ def test_missing_rosbags_says_how_to_get_it(tmp_path: Path, monkeypatch: pytest.
 def test_the_killian_run_is_small_and_drifts_as_its_notice_says() -> None:
     log = read_robot_log("killian_run")
     assert log.ranges.shape == (3873, 180)
-    assert np.degrees(log.bearings[[0, -1]]) == pytest.approx([-90, 89])
+    assert np.degrees(log.laser.bearings[[0, -1]]) == pytest.approx([-90, 89])
     assert log.reference is not None
     assert ate(log.odometry[:, :2], log.reference[:, :2], align=True) == pytest.approx(11.8, abs=0.05)
     assert np.hypot(*np.diff(log.reference[:, :2], axis=0).T).sum() == pytest.approx(1906, abs=1)
-    assert (log.map_name, log.range_max) == ("killian_court", 50.0)
+    assert (log.map_name, log.laser.range_max) == ("killian_court", 50.0)

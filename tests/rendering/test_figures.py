@@ -26,7 +26,7 @@ from cyclic_env.rendering.figures import (
     plan_figure,
     spread,
 )
-from cyclic_env.task.loop_closure import CLAIM
+from cyclic_env.task.path_history import CLAIM
 
 WAY = np.array([(2.0, 2.0, 0.0), (8.0, 2.0, 6.0), (8.0, 8.0, 12.0), (2.0, 8.0, 18.0), (2.0, 2.5, 23.5)])
 

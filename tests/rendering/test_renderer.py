@@ -14,7 +14,6 @@ import numpy as np
 import pytest
 import shapely
 
-from cyclic_env.envs.arguments import RENDER_FPS
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.envs.vector import CyclicLoopVectorEnv
 from cyclic_env.errors import ConfigError, UsageError
@@ -364,33 +363,3 @@ def test_scores_of_the_record_are_the_engines(env: CyclicLoopEnv) -> None:
 
 def test_pictures_of_a_pool_with_plans_yet_to_be_drawn_are_as_large_as_any() -> None:
     assert canvas_size(load_floor_plans(["ring", "generated:train"])) == SIZE_MAX
-
-
-def with_recorder(wrapper: str, folder: Path) -> tuple[Any, int]:
-    """Return an environment in a library's video recorder, and the number of its rows."""
-    settings: dict[str, Any] = {"map_name": "ring", "step_budget": 5, "render_mode": "rgb_array"}
-    if wrapper == "RecordVideo":
-        return gymnasium.wrappers.RecordVideo(gymnasium.make("CyclicLoop-v0", **settings), str(folder)), 1
-    if wrapper == "vector.RecordVideo":
-        envs = gymnasium.make_vec("CyclicLoop-v0", num_envs=2, **settings)
-        return gymnasium.wrappers.vector.RecordVideo(envs, str(folder), video_aspect_ratio=(2, 1)), 2
-    sb3 = pytest.importorskip("stable_baselines3.common.vec_env")
-    from agents.rl.vec_env import CyclicLoopVecEnv
-
-    return sb3.VecVideoRecorder(CyclicLoopVecEnv(2, **settings), str(folder), lambda step: step == 0, 5), 2
-
-
-@pytest.mark.parametrize("wrapper", ["RecordVideo", "vector.RecordVideo", "VecVideoRecorder"])
-def test_other_libraries_record_videos(wrapper: str, tmp_path: Path) -> None:
-    moviepy = pytest.importorskip("moviepy")
-    env, rows = with_recorder(wrapper, tmp_path / "video")
-    env.reset()
-    action = np.tile([1.0, 1.0, -1.0, 0.0], (rows, 1)).astype(np.float32)
-    for _ in range(5):
-        env.step(action[0] if wrapper == "RecordVideo" else action)
-    env.close()
-    (path,) = (tmp_path / "video").glob("*.mp4")
-    with moviepy.VideoFileClip(str(path)) as clip:
-        assert clip.fps == RENDER_FPS
-        assert np.ptp(clip.get_frame(0)) > 100
-        assert clip.duration >= 5 / RENDER_FPS

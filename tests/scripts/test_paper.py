@@ -19,8 +19,9 @@ from agents.knn.loop_detector import Detector
 from agents.knn.similarity import MEASURES
 from agents.slam.keyframes import Keyframes
 from cyclic_env import CyclicLoopEnv, load_floor_plan
-from cyclic_env.config import NOISE_PRESETS, ClosureConfig
+from cyclic_env.config import NOISE_PRESETS
 from cyclic_env.errors import ConfigError, CyclicLoopError
+from cyclic_env.task.loop_closure import ELSEWHERE, RETURNS, TOO_SOON
 from scripts.paper import cache as caching
 from scripts.paper import figures
 from scripts.paper.cache import Cache, code_version, run_all
@@ -28,12 +29,8 @@ from scripts.paper.recognition import Answers, answers_curve, ask, bootstrap_mea
 from scripts.paper.report import report_text
 from scripts.paper.reproduction import Reproduction
 from scripts.paper.runs import (
-    ELSEWHERE,
-    NEITHER,
-    RETURNS,
     RunRecord,
     RunSettings,
-    closure_truth,
     drive_again,
     scaled_noise,
 )
@@ -102,20 +99,6 @@ def test_the_truth_of_rows_is_how_the_environment_judges_claims(eight: RunRecord
     assert eight.revisit.any()
 
 
-def test_truth_tells_returns_from_rows_too_early_and_behind_walls() -> None:
-    plan = load_floor_plan("ring")
-    x, y, _ = plan.start
-    out = np.linspace(0, 13, 131)
-    along, driven = np.concatenate([out, out[::-1]]), np.concatenate([out, 13 + out])  # there and back
-    way = np.column_stack([x + along, np.full_like(along, y), driven])
-    way[30, 1] += 2.5  # on the other side of the wall
-    truth = closure_truth(plan, way, np.array([0, 20, 30, 240, 261]), ClosureConfig())
-    assert truth[1, 0] == NEITHER
-    assert truth[3].tolist() == [RETURNS, RETURNS, ELSEWHERE, ELSEWHERE, ELSEWHERE]
-    assert truth[4].tolist() == [RETURNS, RETURNS, ELSEWHERE, NEITHER, ELSEWHERE]
-    assert (truth[0] == ELSEWHERE).all()
-
-
 def test_noise_is_scaled_but_for_its_correlation_length() -> None:
     half = scaled_noise("poor", 0.5)
     assert half.laser_short == 0.5 * NOISE_PRESETS["poor"].laser_short
@@ -160,7 +143,7 @@ def test_scores_of_a_curve_are_those_by_hand() -> None:
 
 
 def test_answers_that_are_neither_right_nor_wrong_count_neither_way() -> None:
-    outcome = np.array([RETURNS, NEITHER, ELSEWHERE])
+    outcome = np.array([RETURNS, TOO_SOON, ELSEWHERE])
     answers = Answers(np.array([0.1, 0.2, 0.3]), outcome, np.zeros(3), outcome == RETURNS, 1)
     assert [values.tolist() for values in answers_curve(answers)] == [[0.1, 0.3], [1.0, 0.5], [1.0, 1.0]]
 
@@ -173,7 +156,7 @@ def test_candidates_are_old_enough_and_of_the_direction(eight: RunRecord, same_d
         old = eight.path[:i] <= eight.path[i] - 20
         if same_direction:
             old &= (eight.direction[:i] == eight.direction[i]) & (eight.group[:i] != eight.group[i])
-        count += int((old & (eight.truth[i, :i] != NEITHER)).sum())
+        count += int((old & (eight.truth[i, :i] != TOO_SOON)).sum())
     assert len(pairs.distance) == count
     assert len(answers.distance) <= len(eight.step)
     assert answers.revisits == eight.revisit.sum()
@@ -225,7 +208,7 @@ def test_a_calibrated_threshold_takes_the_answers_of_its_recall(eight: RunRecord
 
 def _certain(record: RunRecord, taken: np.ndarray) -> int:
     queries, found, _ = votes(record, "cityblock")
-    return int((record.truth[queries, found][taken] != NEITHER).sum())
+    return int((record.truth[queries, found][taken] != TOO_SOON).sum())
 
 
 def test_the_calibration_writes_its_file_and_refuses_what_there_is_not(

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from cyclic_env.errors import RecordingError
-from cyclic_env.recording.robot_log import NO_HIT, RobotLog
+from cyclic_env.recording.robot_log import RobotLog, laser_of_beams
 from cyclic_env.trajectory.poses import interpolate, relative
 
 SCANS = ("ROBOTLASER1", "FLASER", "RAWLASER1")
@@ -138,15 +138,15 @@ def log_of_scans(
             mounting = offsets[0]
         elif reference is None:
             reference = laser
-    ranges = np.array([scan.ranges for scan in scans], np.float32)
-    limit = range_max or first.range_max
+    ranges = np.array([scan.ranges for scan in scans])
+    ranges, laser = laser_of_beams(
+        ranges, float(first.start + mounting[2]), first.spacing, range_max or first.range_max
+    )
     return RobotLog(
         name=name,
         times=_times(scans),
-        ranges=np.where((ranges > 0) & (ranges < limit), ranges, np.float32(NO_HIT)),
-        first_bearing=float(first.start + mounting[2]),
-        beam_spacing=first.spacing,
-        range_max=limit,
+        ranges=ranges,
+        laser=laser,
         laser_position=(float(mounting[0]), float(mounting[1])),
         odometry=np.zeros((len(scans), 3)) if odometry is None else odometry,
         reference=reference,

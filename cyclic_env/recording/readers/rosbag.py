@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from cyclic_env.errors import ConfigError, RecordingError
-from cyclic_env.recording.robot_log import NO_HIT, RobotLog
+from cyclic_env.recording.robot_log import NO_HIT, RobotLog, laser_of_beams
 from cyclic_env.trajectory.poses import interpolate
 
 SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
@@ -92,21 +92,16 @@ def _log(
         if (len(scan.ranges), scan.angle_min) != (len(first.ranges), first.angle_min):
             raise RecordingError(f"scan {i} has {len(scan.ranges)} beams, or other angles than the first scan.")
     ranges = np.array([scan.ranges for scan in scans], np.float32)
-    spacing, start = float(first.angle_increment), float(first.angle_min)
-    limit = range_max or float(first.range_max)
-    ranges = np.where((ranges > max(0.0, first.range_min)) & (ranges < limit), ranges, np.float32(NO_HIT))
-    if flipped:  # the laser hangs upside down
-        start, spacing = -start, -spacing
-    if spacing < 0:  # the beams run clockwise
-        ranges, start, spacing = ranges[:, ::-1].copy(), start + spacing * (ranges.shape[1] - 1), -spacing
+    ranges[~(ranges >= first.range_min)] = NO_HIT
+    side = -1 if flipped else 1  # hanging upside down, the laser turns the other way
+    start, spacing = side * float(first.angle_min) + mounting[2], side * float(first.angle_increment)
+    ranges, laser = laser_of_beams(ranges, start, spacing, range_max or float(first.range_max))
     times = np.array([_seconds(scan.header.stamp) for scan in scans])
     return RobotLog(
         name=name,
         times=times,
         ranges=ranges,
-        first_bearing=start + mounting[2],
-        beam_spacing=spacing,
-        range_max=limit,
+        laser=laser,
         laser_position=(mounting[0], mounting[1]),
         odometry=interpolate(times, stamps, poses),
     )
