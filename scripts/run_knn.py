@@ -17,13 +17,15 @@ import math
 import statistics
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba.core import event
 
 from agents.knn.config import DETECTORS, PRESETS, preset
-from agents.knn.explorer import KnnExplorer, Memory
+from agents.knn.explorer import KnnExplorer
+from agents.knn.policy import KnnPolicy
 from agents.knn.similarity import MEASURES
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, __version__, map_names
 from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
@@ -74,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from cyclic_env.rendering.gif import GifWriter
 
         changes = {name: value for name in ("detector", "measure") if (value := getattr(args, name)) is not None}
-        explorer = KnnExplorer(preset(args.preset, **changes))
+        explorer = KnnPolicy(preset(args.preset, **changes))
         render_mode = "human" if args.human else None
         env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start, render_mode=render_mode)
         exports = [] if args.export is None else [args.export / name for name in EXPORTS]
@@ -86,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 130
         settings = {"preset": args.preset, "detector": explorer.config.detector, "measure": explorer.config.measure}
         settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
-        metrics = run.metrics() | settings | {"cyclic_env": __version__}
+        metrics = run.metrics() | settings | {"explorer": asdict(explorer.config), "cyclic_env": __version__}
         say(score_table(metrics))
         write_text_atomically(metrics_file, json.dumps(metrics, indent=1) + "\n")
         if args.export is not None:
@@ -122,8 +124,8 @@ class Run:
     ----------
     info : dict
         The last one.
-    memory : Memory or None
-        The explorer's; None before the first step.
+    memory : KnnExplorer or None
+        The explorer, with all that it remembers; None before the first step.
     total : float
         Of the rewards.
     terms : dict
@@ -143,7 +145,7 @@ class Run:
         self.recorder = recorder
         self.film = film
         self.info: dict[str, Any] = {}
-        self.memory: Memory | None = None
+        self.memory: KnnExplorer | None = None
         self.total = 0.0
         self.terms: dict[str, float] = {}
         self.steps = 0
@@ -159,7 +161,7 @@ class Run:
         assert isinstance(env, CyclicLoopEnv)
         return env
 
-    def drive(self, explorer: KnnExplorer, seed: int) -> None:
+    def drive(self, explorer: KnnPolicy, seed: int) -> None:
         """Run the episode to its end, or up to Ctrl-C."""
         progress = ProgressLine()
         compiled = event.RecordingListener()
@@ -187,7 +189,7 @@ class Run:
                     self.ending = "success"
                 elif truncated:
                     self.ending = "step budget spent"
-                elif self.memory.done and self.stopped_at is None:
+                elif state[0].done and self.stopped_at is None:
                     self.stopped_at = self.steps
                 progress.show(
                     f"step {self.steps:,}: {self.info['coverage']:.0%} seen, {self.info['cycles_closed']} of "
@@ -225,7 +227,7 @@ class Run:
             "path_over_tour": None if math.isnan(tour) else self.info["path_length_m"] / tour,
             "groups": len(self.memory.groups),
             "rows": self.memory.keyframes.count,
-            "rows_compared": self.memory.detector.compared,
+            "rows_compared": self.memory.detector.vote.compared,
             "open_areas": len(self.memory.frontiers.listed),
             **track_errors(self.recording()),
             "seconds_per_step_env": None if watched else mean(self.env_s),
@@ -311,14 +313,8 @@ def score_table(metrics: dict[str, Any]) -> str:
 
 def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
     """Write the figure of a run: true path, groups, open areas and claims, all where they truly were."""
-    from cyclic_env.rendering.figures import (
-        add_legend,
-        draw_claims,
-        draw_groups,
-        draw_open_areas,
-        draw_path,
-        plan_figure,
-    )
+    from agents.knn.plotting import draw_groups, draw_open_areas
+    from cyclic_env.rendering.figures import add_legend, draw_claims, draw_path, plan_figure
 
     assert run.memory is not None
     plan, way, memory = run.env.floor_plan, run.env.trajectory(), run.memory
