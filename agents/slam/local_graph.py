@@ -1,4 +1,4 @@
-"""Least squares over the last keyframes alone, the earlier ones held fast: a sliding window, solved at every keyframe."""
+"""Least squares over the last keyframes alone: a sliding window, solved at every keyframe."""
 
 from __future__ import annotations
 

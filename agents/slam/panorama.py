@@ -14,6 +14,7 @@ import math
 import numpy as np
 
 from agents.slam.scan_filters import SHORT_OF_REACH
+from cyclic_env.config import LaserConfig
 from cyclic_env.jit import compiled
 
 WALL_GAP = 0.6
@@ -43,23 +44,11 @@ def spread_beams(ranges: np.ndarray, beams: np.ndarray, count: int) -> np.ndarra
     return panorama
 
 
-def panorama_beams(num_beams: int, field_of_view: float, mounting: float = 0.0) -> tuple[np.ndarray, int]:
-    """Return which beam of a panorama each beam of a laser is `(num_beams,)`, and how many beams the panorama has.
-
-    Parameters
-    ----------
-    num_beams : int
-        Of the laser, evenly spaced over the field of view, from right to left; a laser of 360 degrees begins straight
-        ahead.
-    field_of_view, mounting : float
-        Radians; the angle from the robot's heading to the middle of the field of view.
-    """
-    if field_of_view >= math.tau - 1e-9:
-        first, spacing = 0.0, math.tau / num_beams
-    else:
-        first, spacing = -0.5 * field_of_view, field_of_view / num_beams
+def panorama_beams(laser: LaserConfig) -> tuple[np.ndarray, int]:
+    """Return which beam of a panorama each beam of a laser is `(num_beams,)`, and how many beams the panorama has."""
+    spacing = laser.beam_spacing
     count = round(math.tau / spacing)
-    beams = np.rint((mounting + first + spacing * np.arange(num_beams)) / spacing).astype(np.int64) % count
+    beams = np.rint(laser.first_bearing / spacing + np.arange(laser.num_beams)).astype(np.int64) % count
     return beams, count
 
 
@@ -69,13 +58,6 @@ def keep_steady(scan, smooth, range_max, tolerance, out):
     for k in range(scan.shape[0]):
         steady = scan[k] > 0.0 and abs(scan[k] - smooth[k]) <= tolerance
         out[k] = min(scan[k], range_max) if steady else 0.0
-
-
-@compiled
-def endpoints(scan, range_max, out):
-    """Write the ranges that end on a wall into `out` `(n,)`, and `range_max` where none does."""
-    for k in range(scan.shape[0]):
-        out[k] = scan[k] if 0.0 < scan[k] < range_max - SHORT_OF_REACH else range_max
 
 
 @compiled
@@ -148,7 +130,7 @@ def signature(panorama, out):
         for k in range(low, high):
             below = 0
             for j in range(low, high):
-                if 0.0 < panorama[j] and (panorama[j] < panorama[k] or (panorama[j] == panorama[k] and j < k)):
+                if panorama[j] > 0.0 and (panorama[j] < panorama[k] or (panorama[j] == panorama[k] and j < k)):
                     below += 1
             if panorama[k] > 0.0 and below == seen // 2:
                 out[s] = math.sqrt(min(panorama[k], SIGNATURE_REACH))

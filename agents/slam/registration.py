@@ -10,12 +10,15 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agents.settings import pack
 from agents.slam.scan_filters import SHORT_OF_REACH
-from agents.slam.scan_matching import SPREAD, align
+from agents.slam.scan_matching import Estimate, MatcherConfig, MatcherValues, Prior, Reference, align, fit_wall_lines
 from cyclic_env.jit import compiled
 
 WIDE, TIGHT = 0.25, 0.10
 """Metres by which endpoints may differ that agree: that the scans show the same place, and that the pose is right."""
+FEW = 25
+"""Inliers below which a start is taken only if there is no other."""
 GOOD_WIDE, GOOD_TIGHT, GOOD_SEEN = 0.93, 0.85, 80
 """Shares of inliers, and their number, from which no other start is tried."""
 
@@ -34,6 +37,8 @@ class Registration(NamedTuple):
         ways round.
     seen : int
         Endpoints that agree, likewise.
+    min_eigenvalue : float
+        How many endpoints, at least, tell the position in any direction: few along a plain corridor.
     """
 
     pose: np.ndarray
@@ -41,110 +46,101 @@ class Registration(NamedTuple):
     wide: float
     tight: float
     seen: int
-
-    @property
-    def min_eigenvalue(self) -> float:
-        """How many endpoints, at least, speak for the position in any direction: few along a plain corridor."""
-        a, b, c = self.information[0, 0], self.information[0, 1], self.information[1, 1]
-        return SPREAD**2 * (0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b))
+    min_eigenvalue: float
 
 
 @compiled
-def count_inliers(reference, ranges, range_max, x0, y0, heading, counts):
-    """Count the endpoints of a panorama, at a pose in a reference's frame, that agree and disagree with the reference.
+def count_inliers(reference, ranges, range_max, pose):
+    """Return how many endpoints of a panorama, at a pose in a reference's frame, agree and disagree with the reference.
 
     One beyond the reference's own endpoint on that bearing is hidden from it and says nothing; one well before it is
-    against it. `counts` `(4,)` becomes: inliers and outliers within `WIDE`, and within `TIGHT`.
+    against it. The four numbers are inliers and outliers within `WIDE`, and within `TIGHT`.
     """
     n = ranges.shape[0]
     spacing = 2 * math.pi / n
-    cos, sin = math.cos(heading), math.sin(heading)
-    for i in range(4):
-        counts[i] = 0
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    inliers = outliers = tight_inliers = tight_outliers = 0
     for k in range(n):
         r = ranges[k]
         if r <= 0.0 or r >= range_max - SHORT_OF_REACH:
             continue
         lx, ly = r * math.cos(k * spacing), r * math.sin(k * spacing)
-        x, y = x0 + cos * lx - sin * ly, y0 + sin * lx + cos * ly
+        x, y = pose[0] + cos * lx - sin * ly, pose[1] + sin * lx + cos * ly
         beam = math.atan2(y, x) / spacing
         low = math.floor(beam)
         a, b = reference[low % n], reference[(low + 1) % n]
-        if a <= 0.0 or b <= 0.0:
+        if a <= 0.0 or b <= 0.0:  # not looked at
             continue
         distance = math.sqrt(x * x + y * y)
         nearer, farther = min(a, b), max(a, b)
-        if distance < nearer - WIDE:
-            counts[1] += 1
-        elif distance <= farther + WIDE:
-            counts[0] += 1
-        if distance < nearer - TIGHT:
-            counts[3] += 1
-        elif distance <= farther + TIGHT:
-            counts[2] += 1
+        outliers += distance < nearer - WIDE
+        inliers += nearer - WIDE <= distance <= farther + WIDE
+        tight_outliers += distance < nearer - TIGHT
+        tight_inliers += nearer - TIGHT <= distance <= farther + TIGHT
+    return inliers, outliers, tight_inliers, tight_outliers
 
 
 @compiled
-def judge_pose(reference, ranges, range_max, pose, counts, quality):
-    """Write into `quality` `(3,)` the shares of inliers within `WIDE` and `TIGHT`, and the number of those in `WIDE`."""
-    count_inliers(reference, ranges, range_max, pose[0], pose[1], pose[2], counts)
-    quality[0] = counts[0] / max(1, counts[0] + counts[1])
-    quality[1] = counts[2] / max(1, counts[2] + counts[3])
-    quality[2] = counts[0]
+def judge_pose(reference, ranges, range_max, pose, quality):
+    """Write into `quality` `(3,)` the shares of inliers within `WIDE` and `TIGHT`, and the number of those in `WIDE`.
+
+    The less counts of both ways round.
+    """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
-    x, y = -cos * pose[0] - sin * pose[1], sin * pose[0] - cos * pose[1]
-    count_inliers(ranges, reference, range_max, x, y, -pose[2], counts)
-    quality[0] = min(quality[0], counts[0] / max(1, counts[0] + counts[1]))
-    quality[1] = min(quality[1], counts[2] / max(1, counts[2] + counts[3]))
-    quality[2] = min(quality[2], counts[0])
+    back = (-cos * pose[0] - sin * pose[1], sin * pose[0] - cos * pose[1], -pose[2])
+    a, b, c, d = count_inliers(reference, ranges, range_max, (pose[0], pose[1], pose[2]))
+    e, f, g, h = count_inliers(ranges, reference, range_max, back)
+    quality[0] = min(a / max(1, a + b), e / max(1, e + f))
+    quality[1] = min(c / max(1, c + d), g / max(1, g + h))
+    quality[2] = min(a, e)
 
 
 @compiled
-def register_from(reference, lines, panorama, ends, range_max, starts, spread, scratch, pose, hessian, quality):
+def register_from(reference, panorama, endpoints, range_max, starts, std, values, trial, best, quality):
     """Match a panorama with a reference from each of the starts `(m, 3)`; the one that agrees best is the result.
 
     Parameters
     ----------
-    reference, lines : (n,) and (n, 3)
-        With its `fit_wall_lines`.
-    panorama, ends : (n,)
+    reference : Reference
+    panorama, endpoints : (n,)
         With its `endpoints`.
     range_max : float
     starts : (m, 3)
         Poses in the reference's frame, the expected one first.
-    spread : (3,)
+    std : (3,)
         Standard deviations of the starts: metres, metres, radians.
-    scratch : tuple of (3,), (3, 3), (3,) and (4,) int arrays
-    pose, hessian : (3,) and (3, 3)
-        The result, as of `align`.
-    quality : (3,)
-        The result's, as of `judge_pose`.
+    values : MatcherValues
+    trial, best : Estimate
+        Scratch, and the result.
+    quality : (2, 3) float64
+        Scratch, and the result's shares and number of inliers, as of `judge_pose`, in the second row.
     """
-    trial, trial_hessian, trial_quality, counts = scratch
-    best = -1.0
+    highest = -1.0
     for s in range(starts.shape[0]):
-        align(reference, lines, ends, range_max, starts[s], spread, trial, trial_hessian)
-        judge_pose(reference, panorama, range_max, trial, counts, trial_quality)
-        key = trial_quality[0] + 0.5 * trial_quality[1] - (0.5 if trial_quality[2] < 25 else 0.0)
-        if key > best:
-            best = key
+        align(reference, endpoints, range_max, Prior(starts[s], std), trial, values)
+        judge_pose(reference.ranges, panorama, range_max, trial.pose, quality[0])
+        key = quality[0, 0] + 0.5 * quality[0, 1] - (0.5 if quality[0, 2] < FEW else 0.0)
+        if key > highest:
+            highest = key
             for i in range(3):
-                pose[i], quality[i] = trial[i], trial_quality[i]
+                best.pose[i], quality[1, i] = trial.pose[i], quality[0, i]
                 for j in range(3):
-                    hessian[i, j] = trial_hessian[i, j]
-            if quality[0] > GOOD_WIDE and quality[1] > GOOD_TIGHT and quality[2] > GOOD_SEEN:
+                    best.hessian[i, j] = trial.hessian[i, j]
+            if quality[1, 0] > GOOD_WIDE and quality[1, 1] > GOOD_TIGHT and quality[1, 2] > GOOD_SEEN:
                 break
 
 
 @compiled
-def best_starts(reference, panorama, range_max, starts, counts, scores, chosen):
+def best_starts(reference, panorama, range_max, starts, scores, chosen):
     """Write into `chosen` `(c, 3)` the starts `(m, 3)` at which most endpoints lie on the reference's walls.
 
-    `scores` `(m,)` and `counts` `(4,)` are scratch.
+    `scores` `(m,)` is scratch.
     """
     for s in range(starts.shape[0]):
-        count_inliers(reference, panorama, range_max, starts[s, 0], starts[s, 1], starts[s, 2], counts)
-        scores[s] = counts[0] - counts[1]
+        inliers, outliers, _, _ = count_inliers(
+            reference, panorama, range_max, (starts[s, 0], starts[s, 1], starts[s, 2])
+        )
+        scores[s] = inliers - outliers
     for c in range(chosen.shape[0]):
         best = 0
         for s in range(starts.shape[0]):
@@ -155,17 +151,45 @@ def best_starts(reference, panorama, range_max, starts, counts, scores, chosen):
         scores[best] = -math.inf
 
 
-def register(
-    reference: np.ndarray,
-    lines: np.ndarray,
-    panorama: np.ndarray,
-    ends: np.ndarray,
-    starts: np.ndarray,
-    spread: np.ndarray,
-    range_max: float,
-) -> Registration:
-    """Match a panorama with a reference; see `register_from`."""
-    scratch = (np.empty(3), np.empty((3, 3)), np.empty(3), np.empty(4, np.int64))
-    pose, hessian, quality = np.zeros(3), np.zeros((3, 3)), np.zeros(3)
-    register_from(reference, lines, panorama, ends, range_max, starts, spread, scratch, pose, hessian, quality)
-    return Registration(pose, hessian / SPREAD**2, float(quality[0]), float(quality[1]), int(quality[2]))
+class PanoramaMatcher:
+    """Matches panoramas, or scans, of which parts may not have been looked at.
+
+    Parameters
+    ----------
+    range_max : float
+        Metres beyond which nothing counts.
+    config : MatcherConfig, optional
+    """
+
+    def __init__(self, range_max: float, config: MatcherConfig | None = None) -> None:
+        self.range_max = range_max
+        self.config = config or MatcherConfig()
+        self._values = pack(MatcherValues, self.config)
+
+    def endpoints(self, panorama: np.ndarray) -> np.ndarray:
+        """Return the ranges `(n,)` that end on a wall, and `range_max` where none does."""
+        return np.where((panorama > 0) & (panorama < self.range_max - SHORT_OF_REACH), panorama, self.range_max)
+
+    def wall_lines(self, panorama: np.ndarray) -> np.ndarray:
+        """Return the wall lines `(n, 3)` at the endpoints; see `fit_wall_lines`."""
+        lines = np.empty((len(panorama), 3))
+        fit_wall_lines(self.endpoints(panorama), self.range_max, lines, self._values)
+        return lines
+
+    def match(self, reference: Reference, panorama: np.ndarray, starts: np.ndarray, std: np.ndarray) -> Registration:
+        """Match a panorama with a reference from several starts; see `register_from`."""
+        trial, best = (Estimate(np.zeros(3), np.zeros((3, 3)), np.zeros(3)) for _ in range(2))
+        quality = np.zeros((2, 3))
+        endpoints = self.endpoints(panorama)
+        register_from(reference, panorama, endpoints, self.range_max, starts, std, self._values, trial, best, quality)
+        variance = self.config.endpoint_std**2
+        wide, tight, seen = quality[1].tolist()
+        a, b, c = best.hessian[0, 0], best.hessian[0, 1], best.hessian[1, 1]
+        weakest = 0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b)
+        return Registration(best.pose, best.hessian / variance, wide, tight, int(seen), weakest)
+
+    def likely_starts(self, reference: np.ndarray, panorama: np.ndarray, starts: np.ndarray, count: int) -> np.ndarray:
+        """Return those `(count, 3)` of the starts at which the two panoramas agree best as they are."""
+        chosen = np.empty((count, 3))
+        best_starts(reference, panorama, self.range_max, starts, np.empty(len(starts)), chosen)
+        return chosen

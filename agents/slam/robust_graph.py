@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.slam.pose_graph import optimize
+from agents.slam.pose_graph import PoseGraphConfig, optimize
 from agents.slam.se2 import relative, wrap_all
 
 GROWTH = 1.6
@@ -17,28 +17,29 @@ GROWTH = 1.6
 ROUNDS = 30
 
 
-def squared_errors(poses: np.ndarray, ends: np.ndarray, measured: np.ndarray, information: np.ndarray) -> np.ndarray:
+def squared_errors(poses: np.ndarray, edges: np.ndarray, measured: np.ndarray, information: np.ndarray) -> np.ndarray:
     """Return the squared errors `(m,)` of a graph's edges, in standard deviations."""
-    error = relative(poses[ends[:, 0]], poses[ends[:, 1]]) - measured
+    error = relative(poses[edges[:, 0]], poses[edges[:, 1]]) - measured
     error[:, 2] = wrap_all(error[:, 2])
     return np.einsum("mi,mij,mj->m", error, information, error)
 
 
 def optimize_robustly(
     poses: np.ndarray,
-    ends: np.ndarray,
+    edges: np.ndarray,
     measured: np.ndarray,
     information: np.ndarray,
     doubtful: np.ndarray,
     headings: np.ndarray,
     heading_information: np.ndarray,
     threshold: float,
+    config: PoseGraphConfig | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the poses that fit best, the first one held fast, and the weights `(m,)` that the edges were given.
 
     Parameters
     ----------
-    poses, ends, measured, information, headings, heading_information
+    poses, edges, measured, information, headings, heading_information
         As of `pose_graph.optimize`.
     doubtful : (m,) int
         Groups of edges that are right or wrong together; -1 for those that are certain.
@@ -48,13 +49,15 @@ def optimize_robustly(
     groups = doubtful.max(initial=-1) + 1
     of_group = np.maximum(doubtful, 0)
     sizes = np.maximum(np.bincount(doubtful[doubtful >= 0], minlength=groups), 1)
-    weights = np.ones(len(ends))
+    weights = np.ones(len(edges))
     control = 0.0
     for _ in range(ROUNDS):
-        poses = optimize(poses, ends, measured, weights[:, None, None] * information, headings, heading_information)
+        poses = optimize(
+            poses, edges, measured, weights[:, None, None] * information, headings, heading_information, config
+        )
         if not groups:
             break
-        squares = squared_errors(poses, ends, measured, information)
+        squares = squared_errors(poses, edges, measured, information)
         means = np.bincount(of_group, np.where(doubtful >= 0, squares, 0.0), minlength=groups) / sizes
         if control == 0.0:
             if means.max() <= threshold:
