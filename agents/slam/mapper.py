@@ -156,4 +156,7 @@ class Mapper:
         left = (self.path - run.path >= loops.gap) & (farthest_since >= loops.leave)
         back = np.flatnonzero(left & (distance < self.config.keyframing.claim_distance))
         back = back[in_sight(run.panorama[-1], run.pose[-1], run.pose[back])]
-        return int(run.step[back[np.argmin(distance[back])]]) if len(back) else None
+        for j in back[np.argsort(distance[back], kind="stable")].tolist():
+            if in_sight(run.panorama[j], run.pose[j], pose[None])[0]:
+                return int(run.step[j])
+        return None
