@@ -21,7 +21,7 @@ from cyclic_env.config import DISTANCE_MAX, EnvConfig
 from cyclic_env.engine.actions import check_actions, decode_actions
 from cyclic_env.engine.building import add_plan, make_buildings, make_episodes, step_budget
 from cyclic_env.engine.kernels import begin_episode, judge_rows, wrap_angle
-from cyclic_env.engine.stage_timer import NoTimer, Timer
+from cyclic_env.engine.stage_timer import NoTimer
 from cyclic_env.errors import ConfigError, FloorPlanError, UsageError
 from cyclic_env.floor_plans import FloorPlan, PlanPool
 from cyclic_env.floor_plans.floor_plan import Pose
@@ -73,7 +73,7 @@ class Engine:
         self.config = config
         self.plans = plans
         self.num_robots = num_robots
-        self.timer: Timer = NoTimer()
+        self.timer = NoTimer()
         self._num_threads = num_threads or num_cores()
         self._reachable: dict[int, shapely.Polygon] = {}  # by the index of the plan in the pool
         for index, plan in plans.loaded.items():
@@ -149,7 +149,7 @@ class Engine:
         self._shares = []
         self.sensors.reset_row(row, rng)
         with self._compiling():
-            begin_episode(self.buildings, self.episodes, row, *pose)
+            begin_episode(self.buildings, self.episodes, row, pose)
         self._not_placed.discard(row)
 
     def draw_start(self, rng: np.random.Generator, start: Any = None) -> tuple[int, Pose]:
@@ -228,7 +228,7 @@ class Engine:
             worlds = self.simulation.worlds
             count = min(len(worlds), self._num_threads)
             parts = [worlds[i::count] for i in range(count)]
-            self._shares = [(part, np.sort(np.concatenate([world.rows for world in part]))) for part in parts]
+            self._shares = [(part, np.sort(np.concatenate([world.bodies.rows for world in part]))) for part in parts]
         if skip is None:
             return self._shares
         return [(worlds, rows[~skip[rows]]) for worlds, rows in self._shares]
