@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(
-        signal.SIGINT, lambda *_: (print("\nmake_ros_maps.py: nothing done yet", file=sys.stderr), os._exit(130))
-    )
+    run_script(__file__)
 
 import argparse
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -25,11 +20,10 @@ import shapely
 from scipy import ndimage
 from shapely import Polygon
 
-from cyclic_env import CyclicLoopError
 from cyclic_env.atomic_write import check_outputs
-from cyclic_env.console import ProgressLine, say
 from cyclic_env.floor_plans import FloorPlan, OccupancyGrid, polygon_from_corridors, rasterize, write_occupancy_grid
 from cyclic_env.floor_plans.occupancy.grid import FREE, OCCUPIED, UNKNOWN
+from scripts._cli import command, progress_bar
 
 RESOLUTION = 0.05
 """Metres per pixel, as in most scanned maps."""
@@ -70,26 +64,19 @@ class Building(NamedTuple):
     walk: tuple[tuple[Point, Point], ...]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/ros_maps"), help="folder (default out/ros_maps)")
     args = parser.parse_args(arguments)
-    try:
-        check_outputs(args.out / f"{name}{suffix}" for name in MAPS for suffix in (".yaml", ".pgm"))
-        for name, draw in MAPS.items():
-            path = args.out / f"{name}.yaml"
-            grid = draw()
-            write_occupancy_grid(grid, path)
-            rows, columns = grid.cells.shape
-            say(f"written: {path}, {columns:,} x {rows:,} pixels")
-    except (CyclicLoopError, OSError) as error:
-        print(f"make_ros_maps.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nmake_ros_maps.py: stopped; not all maps were written.", file=sys.stderr)
-        return 130
-    return 0
+    check_outputs(args.out / f"{name}{suffix}" for name in MAPS for suffix in (".yaml", ".pgm"))
+    for name, draw in MAPS.items():
+        path = args.out / f"{name}.yaml"
+        grid = draw()
+        write_occupancy_grid(grid, path)
+        rows, columns = grid.cells.shape
+        print(f"written: {path}, {columns:,} x {rows:,} pixels")
 
 
 def office_floor() -> OccupancyGrid:
@@ -227,12 +214,11 @@ def scan(model: Building, rng: np.random.Generator) -> OccupancyGrid:
         height, width = rng.integers(1, 4, 2)
         solid[row : row + height, column : column + width] = True
     hits, passes = (np.zeros(solid.size, np.int32) for _ in range(2))
-    progress = ProgressLine()
-    for i, (start, end) in enumerate(model.walk):
-        for place in np.linspace(start, end, 1 + math.ceil(math.dist(start, end) / SCAN_SPACING)):
-            _add_scan(solid, (place - corner) / RESOLUTION, hits, passes, rng)
-        progress.show(f"scanning: {i + 1} of {len(model.walk)} stretches walked")
-    progress.clear()
+    with progress_bar(len(model.walk), "corridor", desc="scanning") as progress:
+        for start, end in model.walk:
+            for position in np.linspace(start, end, 1 + math.ceil(math.dist(start, end) / SCAN_SPACING)):
+                _add_scan(solid, (position - corner) / RESOLUTION, hits, passes, rng)
+            progress.update()
     cells = np.where(hits > OCCUPIED_FROM * passes, OCCUPIED, np.where(passes > 0, FREE, UNKNOWN))
     x, y = (float(value) for value in corner)
     return replace(clear, cells=cells.reshape(solid.shape).astype(np.int8), origin=(x, y, 0.0), start=None)
@@ -272,9 +258,3 @@ def _add_scan(
     end = np.where(returned, np.clip(end, 0, len(steps) - 1), 0)
     np.add.at(passes, cells[np.arange(len(steps)) < end[:, None]], 1)
     np.add.at(hits, cells[returned, end[returned]], 1)
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
-    sys.exit(main())

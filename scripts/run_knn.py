@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # agents are not installed, but run from the checkout
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(signal.SIGINT, lambda *_: (print("\nrun_knn.py: nothing done yet", file=sys.stderr), os._exit(130)))
+    run_script(__file__)
 
 import argparse
 import json
@@ -17,6 +13,7 @@ import math
 import statistics
 import time
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -25,24 +22,25 @@ from numba.core import event
 from agents.knn.config import DETECTORS, PRESETS, preset
 from agents.knn.explorer import KnnExplorer, Memory
 from agents.knn.similarity import MEASURES
-from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, __version__, map_names
+from cyclic_env import CyclicLoopEnv, Recorder, Recording, __version__, map_names
 from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
-from cyclic_env.console import ProgressLine, say
-from cyclic_env.evaluation.rollout import format_rows, score_rows
 from cyclic_env.recording.format import write_recording
 from cyclic_env.trajectory.io import write_g2o, write_tum
 from cyclic_env.trajectory.metrics import ate
+from scripts._cli import command, interruptible, progress_bar
+from scripts._tables import format_rows, score_rows
 
 if TYPE_CHECKING:
     from cyclic_env.rendering.gif import GifWriter
 
 FIGURE_DPI = 150
 
+INTERRUPTED = "interrupted"
 EXPORTS = ("episode.npz", "true.tum", "dead_reckoned.tum", "corrected.tum", "pose_graph.g2o")
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options of a command line."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument(
         "--map",
@@ -66,46 +64,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument(
         "--export", type=Path, metavar="FOLDER", help="write the recording, the trajectories (TUM) and the graph (g2o)"
     )
-    args = parser.parse_args(arguments)
+    return parser.parse_args(arguments)
+
+
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
+    args = parse(arguments)
+    import cyclic_env.rendering.figures  # noqa: F401 (before the run: it says what to do where matplotlib is missing)
+    from cyclic_env.rendering.gif import GifWriter
+
     picture, metrics_file = args.out / "run.png", args.json or args.out / "metrics.json"
     animation = None if args.no_gif else args.out / "run.gif"
-    try:
-        import cyclic_env.rendering.figures  # noqa: F401 (before the run: it says what to do where matplotlib is missing)
-        from cyclic_env.rendering.gif import GifWriter
-
-        changes = {name: value for name in ("detector", "measure") if (value := getattr(args, name)) is not None}
-        explorer = KnnExplorer(preset(args.preset, **changes))
-        render_mode = "human" if args.human else None
-        env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start, render_mode=render_mode)
-        exports = [] if args.export is None else [args.export / name for name in EXPORTS]
-        check_outputs(filter(None, (picture, animation, metrics_file, *exports)))
-        run = Run(Recorder(env), GifWriter(env) if animation else None)
+    exports = [] if args.export is None else [args.export / name for name in EXPORTS]
+    files = [path for path in (picture, animation, metrics_file, *exports) if path]
+    changes = {name: value for name in ("detector", "measure") if (value := getattr(args, name)) is not None}
+    explorer = KnnExplorer(preset(args.preset, **changes))
+    render_mode = "human" if args.human else None
+    env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start, render_mode=render_mode)
+    check_outputs(files)
+    run = Run(Recorder(env), GifWriter(env) if animation else None)
+    with interruptible() as interruption:
         run.drive(explorer, args.seed)
-        if not run.steps:
-            print("\nrun_knn.py: stopped before the first step, so there is nothing to keep.", file=sys.stderr)
-            return 130
-        settings = {"preset": args.preset, "detector": explorer.config.detector, "measure": explorer.config.measure}
-        settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
-        metrics = run.metrics() | settings | {"cyclic_env": __version__}
-        say(score_table(metrics))
-        write_text_atomically(metrics_file, json.dumps(metrics, indent=1) + "\n")
-        if args.export is not None:
-            export(run, args.export)
-        draw_run(run, metrics, picture)
-        if run.film is not None and animation is not None:
-            run.film.write(animation)
-    except (CyclicLoopError, OSError) as error:
-        print(f"run_knn.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nrun_knn.py: stopped; not all files were written.", file=sys.stderr)
-        return 130
-    kept = ", ".join(str(path) for path in (picture, animation, metrics_file, *exports) if path)
-    if run.ending == "Ctrl-C":
-        print(f"run_knn.py: stopped after {run.steps:,} steps; what was run is in {kept}.", file=sys.stderr)
-        return 130
-    say(f"\nwritten: {kept}")
-    return 0
+    if interruption and not run.steps:
+        raise interruption.stopped("there was no step yet, so there is nothing to keep.")
+    if run.film is not None:
+        run.film.take(run.steps, last=True)
+    settings = {"preset": args.preset, "detector": explorer.config.detector, "measure": explorer.config.measure}
+    settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
+    metrics = run.metrics() | settings | {"cyclic_env": __version__}
+    print(score_table(metrics))
+    write_text_atomically(metrics_file, json.dumps(metrics, indent=1) + "\n")
+    if args.export is not None:
+        export(run, args.export)
+    draw_run(run, metrics, picture)
+    if run.film is not None and animation is not None:
+        run.film.write(animation)
+    kept = ", ".join(map(str, files))
+    if interruption:
+        raise interruption.stopped(f"the {run.steps:,} steps up to here are in {kept}.")
+    print(f"\nwritten: {kept}")
 
 
 class Run:
@@ -131,7 +129,7 @@ class Run:
     steps : int
         Taken so far.
     ending : str
-        Why it ended.
+        Why it ended; `INTERRUPTED` until it has.
     stopped_at : int or None
         The step at which the explorer had nothing left to explore; it stands from there on.
     env_s, agent_s : list of float
@@ -147,7 +145,7 @@ class Run:
         self.total = 0.0
         self.terms: dict[str, float] = {}
         self.steps = 0
-        self.ending = ""
+        self.ending = INTERRUPTED
         self.stopped_at: int | None = None
         self.env_s: list[float] = []
         self.agent_s: list[float] = []
@@ -160,46 +158,45 @@ class Run:
         return env
 
     def drive(self, explorer: KnnExplorer, seed: int) -> None:
-        """Run the episode to its end, or up to Ctrl-C."""
-        progress = ProgressLine()
-        compiled = event.RecordingListener()
-        event.register("numba:compiler_lock", compiled)
-        try:
+        """Run the episode to its end."""
+        compiling = event.RecordingListener()
+        with event.install_listener("numba:compiler_lock", compiling), progress_bar(unit="step") as progress:
             observation, self.info = self.recorder.reset(seed=seed)
+            progress.reset(total=self.env.step_budget)
             state = None
-            while not self.ending:
+            while self.ending == INTERRUPTED:
                 if self.film is not None and self.stopped_at is None:
                     self.film.take(self.steps)
-                before, began = len(compiled.buffer), time.perf_counter()
-                action, state = explorer.predict(observation, state)
-                decided = time.perf_counter()
-                observation, reward, terminated, truncated, self.info = self.recorder.step(action)
-                ended = time.perf_counter()
-                if self.stopped_at is None and len(compiled.buffer) == before:
-                    self.env_s.append(ended - decided)
-                    self.agent_s.append(decided - began)
-                self.steps += 1
-                self.total += float(reward)
-                for name, value in self.info["reward_terms"].items():
-                    self.terms[name] = self.terms.get(name, 0.0) + value
-                (self.memory,) = state
-                if terminated:
-                    self.ending = "success"
-                elif truncated:
-                    self.ending = "step budget spent"
-                elif self.memory.done and self.stopped_at is None:
-                    self.stopped_at = self.steps
-                progress.show(
-                    f"step {self.steps:,}: {self.info['coverage']:.0%} seen, {self.info['cycles_closed']} of "
-                    f"{self.info['cycles_total']} cycles closed, {self.info['false_claims']} false claims"
+                observation, state = self._step(explorer, observation, state, compiling)
+                progress.set_postfix_str(
+                    f"{self.info['coverage']:.0%} seen, {self.info['cycles_closed']} of "
+                    f"{self.info['cycles_total']} cycles closed, {self.info['false_claims']} false claims",
+                    refresh=False,
                 )
-        except KeyboardInterrupt:
-            self.ending = "Ctrl-C"
-        finally:
-            event.unregister("numba:compiler_lock", compiled)
-        progress.clear()
-        if self.film is not None and self.steps:
-            self.film.take(self.steps, last=True)
+                progress.update()
+
+    def _step(
+        self, explorer: KnnExplorer, observation: Any, state: Any, compiling: event.RecordingListener
+    ) -> tuple[Any, Any]:
+        before, began = len(compiling.buffer), time.perf_counter()
+        action, state = explorer.predict(observation, state)
+        decided = time.perf_counter()
+        observation, reward, terminated, truncated, self.info = self.recorder.step(action)
+        ended = time.perf_counter()
+        if self.stopped_at is None and len(compiling.buffer) == before:
+            self.env_s.append(ended - decided)
+            self.agent_s.append(decided - began)
+        self.steps += 1
+        self.total += float(reward)
+        for name, value in self.info["reward_terms"].items():
+            self.terms[name] = self.terms.get(name, 0.0) + value
+        (memory,) = state
+        self.memory = memory
+        if terminated or truncated:
+            self.ending = "success" if terminated else "step budget spent"
+        elif memory.done and self.stopped_at is None:
+            self.stopped_at = self.steps
+        return observation, state
 
     def recording(self) -> Recording:
         """Return the recording, with the explorer's corrected track: its places as they are after all corrections."""
@@ -343,9 +340,3 @@ def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
     add_legend(axes)
     with atomic_write(path) as part:
         figure.savefig(part, dpi=FIGURE_DPI)
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
-    sys.exit(main())

@@ -151,10 +151,10 @@ def test_ctrl_c_is_one_line(ros_map: Path, monkeypatch: pytest.MonkeyPatch, caps
 
     monkeypatch.setattr(import_map, "trace_floor_plan", interrupted)
     assert import_map.main([str(ros_map)]) == 130
-    assert "stopped; not all files were written" in capsys.readouterr().err
+    assert capsys.readouterr().err == "import_map.py: stopped.\n"
     monkeypatch.setattr(make_ros_maps, "rasterize", interrupted)
     assert make_ros_maps.main(["--out", str(ros_map.parent / "out")]) == 130
-    assert "stopped; not all maps were written" in capsys.readouterr().err
+    assert capsys.readouterr().err == "make_ros_maps.py: stopped.\n"
 
 
 @pytest.mark.parametrize(("name", "cycles"), [("office_floor", 2), ("hospital", 4)])
