@@ -211,11 +211,14 @@ class ClosureConfig:
     """Events with a shorter path than this don't count, m."""
     claim_spacing: float = 2.0
     """Path length after a judged claim before the next one is judged, m."""
+    sight_given: float = 0.0
+    """Two positions nearer to each other than this are in sight whatever walls lie between, m; for trajectories of real
+    robots, which don't fit a floor plan exactly."""
 
     def __post_init__(self) -> None:
         check_number(self, "return_radius", 0.1)
         check_number(self, "gap", 0.0, open_low=True)
-        for field in ("event_gap", "event_length_min", "claim_spacing"):
+        for field in ("event_gap", "event_length_min", "claim_spacing", "sight_given"):
             check_number(self, field, 0.0)
         check_number(self, "leave_radius", self.return_radius, open_low=True)
 

@@ -30,6 +30,7 @@ from cyclic_env.floor_plans import (
     write_floor_plan,
     write_occupancy_grid,
 )
+from cyclic_env.floor_plans.occupancy.dropped import dropped_remark
 from cyclic_env.floor_plans.occupancy.grid import UNKNOWN
 from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES
 from cyclic_env.floor_plans.yaml_io import name_of, read_yaml
@@ -174,7 +175,15 @@ def is_map(name: str) -> bool:
     path = Path(name)
     if is_picture(path):
         return True
-    data = read_yaml(path) if path.is_file() else None
+    if not path.exists() and not path.suffix:  # the name of a plan
+        return False
+    data = read_yaml(path)
+    if data is None:
+        raise ConfigError(f"{path} is an empty file; expected a map with the keys image, resolution and origin.")
+    if isinstance(data, Mapping) and not {"image", "exterior", "corridors"} & set(data):
+        raise ConfigError(
+            f"{path} is neither a map, which has a key `image`, nor a floor plan, which has `exterior` or `corridors`."
+        )
     return isinstance(data, Mapping) and "image" in data
 
 
@@ -206,11 +215,11 @@ def table(
         )
         rows["time"] = f"read in {read_s:.2f} s, traced in {traced_s:.2f} s"
     if grid is not None:
-        rows |= {"look" if i == 0 else "and": note for i, note in enumerate(notes(plan, grid))}
+        rows |= {"look" if i == 0 else " " * i: note for i, note in enumerate(notes(plan, grid, tracing))}
     return "\n".join(f"{name:>10}  {value}" for name, value in rows.items())
 
 
-def notes(plan: FloorPlan, grid: OccupancyGrid) -> list[str]:
+def notes(plan: FloorPlan, grid: OccupancyGrid, tracing: Tracing | None) -> list[str]:
     """Say what may be wrong with a plan traced from a grid, and what to do about it."""
     remarks = []
     corners = grid.to_grid(plan.rings[0])
@@ -224,6 +233,13 @@ def notes(plan: FloorPlan, grid: OccupancyGrid) -> list[str]:
         remarks.append(
             f"{grey:,.0f} m2 of light grey are unknown by free_thresh; if they are floor, as in a map of Cartographer, "
             "write 'mode: scale' into the map's YAML"
+        )
+    if tracing is not None and (dropped := dropped_remark(tracing.dropped, plan.free_area)):
+        remarks.append(dropped)
+    if not plan.cycles:
+        remarks.append(
+            "no cycle was found: the robot can drive around nothing in a lap of 40 m or more; if there are loops, "
+            "their corridors may be closed by specks, or narrower than the robot (--robot-radius) or a door (--door 0)"
         )
     return remarks
 

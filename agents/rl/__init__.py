@@ -1,4 +1,4 @@
-"""Learned agents: tasks as Stable-Baselines3 wants them, training, and stored models."""
+"""Learned agents: the environment as Stable-Baselines3 wants it, the task "headings", training, and stored models."""
 
 from __future__ import annotations
 
@@ -8,13 +8,6 @@ from cyclic_env.errors import ConfigError
 
 PACKAGES = ("stable_baselines3", "sb3_contrib", "torch")
 """Packages of the extra ``train``."""
-
-if "CyclicLoopHeadings-v0" not in registry:
-    register(
-        id="CyclicLoopHeadings-v0",
-        entry_point="agents.rl.headings.env:CyclicLoopHeadingsEnv",
-        vector_entry_point="agents.rl.headings.env:CyclicLoopHeadingsVectorEnv",
-    )
 
 
 def require_learning() -> None:
@@ -34,3 +27,11 @@ def require_learning() -> None:
                 f'{error.name} is missing, and learned agents need it: pip install -e ".[train]" in the checkout.'
             ) from error
         raise
+
+
+if "CyclicLoopHeadings-v0" not in registry:
+    register(
+        id="CyclicLoopHeadings-v0",
+        entry_point="agents.rl.headings.env:CyclicLoopHeadingsEnv",
+        vector_entry_point="agents.rl.headings.env:CyclicLoopHeadingsVectorEnv",
+    )

@@ -45,9 +45,9 @@ def env_config(
     for name in settings:
         check_choice("argument", name, [*(field.name for field in fields(EnvConfig)), "config", "render_mode"])
     config = from_mapping(EnvConfig, config)
-    plans = load_floor_plans(config.map_name if map_name is None else map_name)
-    names = config.map_name if map_name is None else _plan_names(map_name)
-    return replace(config, map_name=names, **settings), plans
+    config, given = replace(config, **settings), config.map_name if map_name is None else map_name
+    plans = load_floor_plans(given, config.robot.radius, config.closure.leave_radius)
+    return replace(config, map_name=config.map_name if map_name is None else _plan_names(map_name)), plans
 
 
 def _plan_names(map_name: Any) -> Any:

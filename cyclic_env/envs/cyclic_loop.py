@@ -31,10 +31,11 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     """A robot explores a building full of loops and has to recognize the places that it returns to.
 
     The robot has two wheels, a laser, a distance meter and a compass. The corridors close on themselves: a *cycle* is a
-    block of the building that the robot can drive around. In every step the robot may claim to be back where it was
-    some steps ago. The claim is judged by the true positions. A correct claim closes a new cycle when the loop that it
-    completes runs around the blocks of the building in a way that no combination of the loops before it does. An
-    episode succeeds when the whole building has been seen and all of its cycles are closed.
+    block of the building that the robot can drive around, in a lap of at least 40 m with two points at least 10 m apart
+    (see `cyclic_env.floor_plans.cycles`). In every step the robot may claim to be back where it was some steps ago. The
+    claim is judged by the true positions. A correct claim closes a new cycle when the loop that it completes runs
+    around the blocks of the building in a way that no combination of the loops before it does. An episode succeeds when
+    the whole building has been seen and all of its cycles are closed.
 
     **Action space**, by `action_type`:
 

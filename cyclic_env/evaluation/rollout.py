@@ -109,7 +109,7 @@ def _empty_evaluation(
     return Evaluation(
         agent=agent,
         map=pool_label(pool.names),
-        noise=settings["noise"] if isinstance(settings["noise"], str) else "custom",
+        noise=config.noise_name,
         action_type=config.action_type,
         random_start=config.random_start,
         seeds=tuple(seeds),

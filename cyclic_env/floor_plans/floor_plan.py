@@ -15,12 +15,14 @@ from shapely.geometry.polygon import orient
 from shapely.ops import nearest_points
 from shapely.validation import explain_validity
 
+from cyclic_env.config import ClosureConfig, RobotConfig
 from cyclic_env.errors import FloorPlanError
+from cyclic_env.floor_plans.cycles import find_cycles
 from cyclic_env.validation import short_repr
 
 MIN_CYCLE_LENGTH = 40.0
-"""Length in metres from which the ring of a hole is a cycle: twice the path that a closure needs, so that a
-lap is long enough to count, and pillars and tables are not."""
+"""Length from which the lap around a hole makes it a cycle, metres: twice the path length that a closure requires, so
+that pillars and tables are no cycles."""
 
 NOOK_AREA = 1.0
 """Area of nooks and sharp corners that the robot need not cover, because the laser sees them, square metres."""
@@ -33,6 +35,9 @@ RESOLUTION = 1e-6
 
 COORDINATE_MAX = 1e5
 """Greatest coordinate, metres: at 100 km a float64 still resolves far less than a nanometre."""
+
+SMALLER_ROBOT = "give a smaller robot, such as robot={'radius': 0.2}"
+"""The cure that errors name where the robot is too large."""
 
 Pose = tuple[float, float, float]
 
@@ -55,6 +60,10 @@ class FloorPlan:
         Centrelines of the corridors, if known, as polylines that meet or cross where corridors do.
     file : str
         The file that the plan was read from, if any; named in messages.
+    traced : bool
+        Whether the file is a map, which is traced again for a robot of another radius.
+    robot_radius, leave_radius : float
+        Radius of the robot that the cycles (and the tracing) are for, and the least extent of a lap, metres.
 
     Raises
     ------
@@ -70,6 +79,9 @@ class FloorPlan:
     licence: str = ""
     centrelines: tuple[tuple[tuple[float, float], ...], ...] = field(default=())
     file: str = ""
+    traced: bool = False
+    robot_radius: float = RobotConfig().radius
+    leave_radius: float = ClosureConfig().leave_radius
 
     def __post_init__(self) -> None:
         polygon = self.free_space
@@ -126,9 +138,11 @@ class FloorPlan:
 
     @cached_property
     def cycles(self) -> list[Polygon]:
-        """The holes that the robot can drive around in a lap long enough to count, largest first."""
-        holes = [Polygon(ring) for ring in self.free_space.interiors if ring.length >= MIN_CYCLE_LENGTH]
-        return sorted(holes, key=lambda hole: -hole.exterior.length)
+        """The holes that the robot can drive around in a lap that counts, those with the longest rings first.
+
+        The lap is as short as possible, at least 40 m long, and has two points at least `leave_radius` apart.
+        """
+        return find_cycles(self.free_space, self.start, self.robot_radius, MIN_CYCLE_LENGTH, self.leave_radius)
 
     @cached_property
     def cycle_anchors(self) -> np.ndarray:
@@ -163,8 +177,8 @@ class FloorPlan:
         Raises
         ------
         FloorPlanError
-            If the robot does not fit at `position`, if that is in a pocket that it can't leave, or if it can't drive
-            around every cycle or reach nearly all of the building. The message names the place to mend.
+            If the robot does not fit at `position`, if that is in a pocket that it can't leave, or if it can't reach
+            nearly all of the building. The message names the place to mend.
         """
         x, y = (self.start if position is None else position)[:2]
         self._check_inside(x, y)
@@ -172,21 +186,23 @@ class FloorPlan:
         what = f"{self._label}: start ({x:g}, {y:g})"
         parts = [part for part in shapely.get_parts(self.free_space.buffer(-radius)) if not part.is_empty]
         if not parts:
-            raise FloorPlanError(f"{self._label}: a robot of radius {radius:g} m fits nowhere; are the units metres?")
+            raise FloorPlanError(
+                f"{self._label}: a robot of radius {radius:g} m fits nowhere. If the units are metres, {SMALLER_ROBOT}."
+            )
         home = next((part for part in parts if part.covers(point)), None)
         if home is None:
             clearance = self.free_space.boundary.distance(point)
             free = min((nearest_points(part, point)[0] for part in parts), key=point.distance)
             raise FloorPlanError(
                 f"{what} is {clearance:.2f} m from a wall, but the robot's radius is {radius:g} m; "
-                f"move it off the wall, for example to ({free.x:.1f}, {free.y:.1f})."
+                f"move it off the wall, for example to ({free.x:.1f}, {free.y:.1f}), or {SMALLER_ROBOT}."
             )
         largest = max(parts, key=lambda part: part.area)
         if home is not largest:
             inside = largest.representative_point()
             raise FloorPlanError(
                 f"{what} lies in a pocket of {home.area:.1f} m2 that a robot of radius {radius:g} m can't leave; "
-                f"start elsewhere, for example at ({inside.x:.1f}, {inside.y:.1f})."
+                f"start elsewhere, for example at ({inside.x:.1f}, {inside.y:.1f}), or {SMALLER_ROBOT}."
             )
         self._check_passable(home, radius)
         return home
@@ -197,25 +213,15 @@ class FloorPlan:
         return [part for part in shapely.get_parts(self.free_space.difference(swept)) if part.area > NOOK_AREA]
 
     def _check_passable(self, home: Polygon, radius: float) -> None:
-        """Raise unless a robot whose centre stays in `home` can drive around each cycle alone and nearly everywhere."""
+        """Raise unless a robot whose centre stays in `home` comes nearly everywhere."""
         lost = self.unreached(home, radius)
-        laps = [Polygon(ring) for ring in home.interiors]
-        for hole in self.cycles:
-            lap = next((lap for lap in laps if lap.contains(hole.representative_point())), None)
-            if lap is None:  # it touches the outer wall, or the hole of another cycle is in the same lap
-                near = (min(lost, key=hole.distance) if lost else hole).representative_point()
-                raise FloorPlanError(
-                    f"{self._label}: a corridor is too narrow for a robot of radius {radius:g} m to drive around the "
-                    f"cycle of {hole.exterior.length:.0f} m alone; widen it near ({near.x:.1f}, {near.y:.1f}), "
-                    "or fill the hole."
-                )
-            laps.remove(lap)
         if sum(part.area for part in lost) > LOST_SHARE_MAX * self.free_area:
             worst = max(lost, key=lambda part: part.area)
             inside = worst.representative_point()
             raise FloorPlanError(
                 f"{self._label}: a corridor is too narrow for a robot of radius {radius:g} m: it can't reach "
-                f"{worst.area:.1f} m2 around ({inside.x:.1f}, {inside.y:.1f}); widen the way there or wall it off."
+                f"{worst.area:.1f} m2 around ({inside.x:.1f}, {inside.y:.1f}); widen the way there, wall it off, as "
+                f"an import for this radius does, or {SMALLER_ROBOT}."
             )
 
     def closed_tour(self) -> float:

@@ -8,9 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from cyclic_env.atomic_write import write_text_atomically
+from cyclic_env.config import RobotConfig
 from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
 from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES, occupancy_grid_from_mapping
@@ -20,6 +20,7 @@ from cyclic_env.floor_plans.yaml_io import (
     as_number,
     as_start,
     as_text,
+    dump_yaml,
     name_of,
     parse_yaml,
     read_yaml,
@@ -29,10 +30,14 @@ from cyclic_env.validation import short_repr, unknown_name
 KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "corridors", "rooms", "centrelines")
 
 
-def read_floor_plan(path: str | Path) -> FloorPlan:
+def read_floor_plan(path: str | Path, robot_radius: float = RobotConfig().radius) -> FloorPlan:
     """Read a floor plan from a YAML file: a plan, or a map of ROS' ``map_server``, which has a key ``image``.
 
-    A map is traced with the defaults of `trace_floor_plan`.
+    Parameters
+    ----------
+    path : path
+    robot_radius : float
+        Radius of the robot that a map is traced for, metres; otherwise with the defaults of `trace_floor_plan`.
 
     Raises
     ------
@@ -47,11 +52,14 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
         )
     data = read_yaml(path)
     try:
-        if isinstance(data, Mapping) and "image" in data:
-            plan = trace_floor_plan(occupancy_grid_from_mapping(data, path)).plan
+        traced = isinstance(data, Mapping) and "image" in data
+        if traced:
+            plan = trace_floor_plan(occupancy_grid_from_mapping(data, path), robot_radius=robot_radius).plan
         else:
+            if isinstance(data, Mapping) and "resolution" in data:
+                raise FloorPlanError("image: is missing; a map has the keys image, resolution and origin.")
             plan = floor_plan_from_mapping(data, default_name=name_of(path))
-        return replace(plan, file=str(path))
+        return replace(plan, file=str(path), traced=traced, robot_radius=robot_radius)
     except FloorPlanError as error:
         raise FloorPlanError(f"{path}: {error}") from error
 
@@ -95,7 +103,7 @@ def floor_plan_to_text(plan: FloorPlan, *, digits: int | None = None) -> str:
     }
     # PyYAML reads unescaped line separators of Unicode as blanks.
     readable = all(text.isprintable() for text in texts.values())
-    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=readable)
+    return dump_yaml(data, allow_unicode=readable)
 
 
 def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPlan:
@@ -107,7 +115,7 @@ def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPl
         Naming the key that is missing, unknown or malformed.
     """
     if not isinstance(data, Mapping):
-        got = "nothing" if data is None else type(data).__name__
+        got = "an empty file" if data is None else type(data).__name__
         raise FloorPlanError(f"a floor plan is a mapping with some of the keys {', '.join(KEYS)}; got {got}.")
     for key in data:
         if key not in KEYS:

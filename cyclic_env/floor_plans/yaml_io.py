@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,16 @@ class _Loader(yaml.SafeLoader):
             if key in keys[:i]:
                 raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is given twice", node.start_mark)
         return super().construct_mapping(node, deep=deep)
+
+
+class _Dumper(yaml.SafeDumper):
+    """The safe dumper, with quotes around text that `_Loader` would read as a number."""
+
+
+for _kind in (_Loader, _Dumper):  # YAML 1.1 takes 5e-2 for text, because it has no point
+    _kind.add_implicit_resolver(
+        "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+\Z"), list("-+0123456789")
+    )
 
 
 def read_yaml(path: Path) -> Any:
@@ -66,6 +77,13 @@ def parse_yaml(text: str) -> Any:
         # PyYAML passes on Python's errors for bad numbers and dates, such as 2024-13-01.
         reason = " ".join(str(error).split()).replace('in "<unicode string>", line', "at line")
         raise FloorPlanError(f"is not valid YAML: {reason}.") from error
+
+
+def dump_yaml(data: Any, *, allow_unicode: bool = False) -> str:
+    """Write data as a text in YAML."""
+    return yaml.dump(
+        data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=allow_unicode
+    )
 
 
 def name_of(path: Path) -> str:

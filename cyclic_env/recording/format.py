@@ -24,6 +24,7 @@ from cyclic_env.config import EnvConfig
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.errors import ConfigError, CyclicLoopError, RecordingError
 from cyclic_env.floor_plans import FloorPlan, floor_plan_from_text, floor_plan_to_text
+from cyclic_env.task.loop_closure import RULES_VERSION
 from cyclic_env.task.path_history import CLAIM
 from cyclic_env.validation import as_array, short_repr
 
@@ -150,9 +151,15 @@ def observation_digest(observation: Mapping[str, np.ndarray]) -> int:
 
 
 def versions() -> dict[str, str]:
-    """Return the versions of everything that an episode's bits depend on."""
+    """Return the versions of everything that an episode's bits depend on, among them the rules of loop closure."""
     packages = {name: importlib.metadata.version(name) for name in PACKAGES}
-    return {"cyclic_env": __version__, "python": platform.python_version(), **packages, "machine": platform.machine()}
+    return {
+        "cyclic_env": __version__,
+        "closure_rules": str(RULES_VERSION),
+        "python": platform.python_version(),
+        **packages,
+        "machine": platform.machine(),
+    }
 
 
 def check_track(name: str, track: Any) -> np.ndarray:

@@ -14,6 +14,9 @@ from cyclic_env.errors import FloorPlanError, RecordingError
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names
 from cyclic_env.recording.format import Recording, observation_digest, read_recording, versions
 
+FIRST_RULES = "1"
+"""Version of the rules of loop closure by which recordings were judged before they stored it."""
+
 OnStep = Callable[[CyclicLoopEnv, int], None]
 """Called after the reset, as step 0, and after every step."""
 
@@ -154,7 +157,10 @@ def _notes(recording: Recording) -> tuple[str, ...]:
     """Say which versions and plans are not the recorded ones."""
     here = versions()
     made = {name: recording.versions.get(name, "an unknown version") for name in here}
+    rules_here, rules_made = here.pop("closure_rules"), recording.versions.get("closure_rules", FIRST_RULES)
     notes = [f"made with {name} {made[name]}; this is {here[name]}" for name in here if made[name] != here[name]]
+    if rules_made != rules_here:
+        notes.insert(0, f"older rules: made with version {rules_made} of the closure rules; this is {rules_here}")
     for plan, shipped in zip(recording.plans, recording.shipped, strict=True):
         if shipped and not (plan.name in map_names() and _is_same(plan, load_floor_plan(plan.name))):
             notes.append(f"the plan {plan.name} in cyclic_env has changed; the recorded one is replayed")

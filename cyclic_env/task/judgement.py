@@ -96,7 +96,7 @@ def judge_trajectory(
     config = config or ClosureConfig()
     track = _checked_trajectory(trajectory)
     claimed = _checked_claims(claims, len(track))
-    memory = _memory_for(plan, track, config)
+    memory = memory_for(plan, track, config)
     record = np.zeros(len(track), STATUS)
     _judge_steps(memory, closure_rules(config), track, claimed, record)
     status, judged = record[-1], record["claim_judged"]
@@ -144,7 +144,7 @@ def true_returns(
     if not inside or (np.diff(chosen.astype(np.int64)) <= 0).any():
         raise UsageError(f"the steps must be ascending whole numbers from 0 to {len(track) - 1}.")
     relations = np.full((len(chosen), len(chosen)), ELSEWHERE, np.int8)
-    _compare_all(_memory_for(plan, track, config), closure_rules(config), track, chosen.astype(np.int64), relations)
+    _compare_all(memory_for(plan, track, config), closure_rules(config), track, chosen.astype(np.int64), relations)
     return relations
 
 
@@ -180,7 +180,7 @@ def _checked_claims(claims: Any, count: int) -> np.ndarray:
     return claimed
 
 
-def _memory_for(plan: FloorPlan | None, track: np.ndarray, config: ClosureConfig) -> ClosureMemory:
+def memory_for(plan: FloorPlan | None, track: np.ndarray, config: ClosureConfig) -> ClosureMemory:
     """Return a memory for the path of one robot in a plan, or on open ground."""
     if plan is not None:
         return allocate_memory(plan, 1, len(track) - 1, config)

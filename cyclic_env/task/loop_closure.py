@@ -2,9 +2,10 @@
 
 With true positions p, path length s and the settings of `ClosureConfig`:
 
-- Step t **returns to** step k when ``|p_t - p_k| <= return_radius``, the straight line between them stays in
-  free space (touching a wall does not), ``s_t - s_k >= gap``, and at some step in between the robot was at
-  least `leave_radius` from p_t. It is a **revisit** when such a k exists.
+- Step t **returns to** step k when ``|p_t - p_k| <= return_radius``, p_k is in sight, ``s_t - s_k >= gap``, and at
+  some step in between the robot was at least `leave_radius` from p_t. It is a **revisit** when such a k exists.
+  A position is in sight when the straight line to it stays in free space (touching a wall does not), or is shorter
+  than `sight_given`.
 - Ground counts once: a revisit step is **fresh** when no step of an event that has settled and counts lies within the
   return radius and in sight of it.
 - A **revisit event** is a maximal run of fresh steps; runs less than `event_gap` of path apart are one event, which
@@ -64,6 +65,7 @@ class ClosureRules(NamedTuple):
     event_gap: float
     event_length_min: float
     claim_spacing: float
+    sight_given: float
 
 
 def closure_rules(config: ClosureConfig) -> ClosureRules:
@@ -186,7 +188,7 @@ def compare_steps(robot, building, rules, k):
     status, track = robot.status, robot.track
     if _square_distance(track, status.steps, k) > rules.return_radius * rules.return_radius:
         return ELSEWHERE
-    if not _sees(robot, building, k):
+    if not _sees(robot, building, rules, k):
         return ELSEWHERE
     if k <= status.gap_step and k < last_step_away(robot, rules.leave_radius):
         return RETURNS
@@ -200,9 +202,11 @@ def _square_distance(track, t, k):
 
 
 @compiled
-def _sees(robot, building, k):
+def _sees(robot, building, rules, k):
     """Tell whether the position of step k is in sight of the robot."""
     track, t = robot.track, robot.status.steps
+    if _square_distance(track, t, k) < rules.sight_given * rules.sight_given:
+        return True
     return line_of_sight(building.walls, building.plan, track[t, 0], track[t, 1], track[k, 0], track[k, 1])
 
 
@@ -229,7 +233,7 @@ def find_return(robot, building, rules, nearest):
                 for k in range(box.first, end):
                     square = _square_distance(track, status.steps, k)
                     better = square < best_square or (square == best_square and (best < 0 or k < best))
-                    if better and _sees(robot, building, k):
+                    if better and _sees(robot, building, rules, k):
                         if not nearest:
                             return k
                         best, best_square = k, square
@@ -253,7 +257,7 @@ def _on_counted_ground(robot, building, rules):
                 end = visit_end(robot, visit) if box_square(box, x, y) <= radius_square else 0
                 for k in range(box.first, end):
                     near = robot.counted[k] and _square_distance(track, status.steps, k) <= radius_square
-                    if near and _sees(robot, building, k):
+                    if near and _sees(robot, building, rules, k):
                         return True
                 visit = box.next_counted
     return False

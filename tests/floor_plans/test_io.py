@@ -62,7 +62,7 @@ OUTER = "exterior: [[0, 0], [60, 0], [60, 60], [0, 60]]\n"
 CORRIDOR = "corridors: [{width: 2, line: [[0, 1], [30, 1]]}]\n"
 
 MISTAKES = {
-    "empty file": ("", "mapping with some of the keys.*got nothing"),
+    "empty file": ("", "mapping with some of the keys.*got an empty file"),
     "list for a mapping": ("[1, 2]", "mapping with some of the keys.*got list"),
     "invalid YAML": ("start: {x: 1", "not valid YAML"),
     "two documents": (START + "---\n" + OUTER, "not valid YAML.*single document"),
@@ -72,6 +72,7 @@ MISTAKES = {
     "nested too deeply": ("title: " + "[" * 50_000, "not valid YAML.*too deeply"),
     "endless list": (START + "exterior: &a [*a]", r"exterior\[0\]: expected a point \[x, y\]"),
     "number of 6,000 digits": ("start: {x: 0x" + "f" * 6000 + ", y: 1}\n" + OUTER, r"start\.x: expected a number"),
+    "map without an image": ("resolution: 0.05\norigin: [0, 0, 0]", "image: is missing; a map has"),
     "unknown key": (START + OUTER + "hole: []", "unknown key 'hole'.*Did you mean 'holes'"),
     "key given twice": (START + OUTER + START, "key 'start' is given twice at line 1"),
     "no free space": (START, "either as `exterior`.* or as `corridors`"),
@@ -224,7 +225,9 @@ def test_a_spoilt_plan_is_taken_or_refused_by_a_floor_plan_error(data: object) -
 
 def test_the_buildings_of_a_split_are_drawn_when_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[str] = []
-    monkeypatch.setattr("cyclic_env.floor_plans.library.building_from_name", lambda name: drawn.append(name))
+    monkeypatch.setattr(
+        "cyclic_env.floor_plans.library.building_from_name", lambda name: drawn.append(name) or square_plan()
+    )
     pool = load_floor_plans(["ring", "generated:train"])
     assert (len(pool), list(pool.loaded), drawn) == (257, [0], [])
     assert pool.names[:2] == ["ring", "generated:train,index=0"]

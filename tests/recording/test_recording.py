@@ -218,9 +218,11 @@ def test_an_episode_that_ends_too_early_is_a_difference(file: Path, tmp_path: Pa
 def test_other_versions_and_a_changed_plan_are_notes(file: Path, tmp_path: Path) -> None:
     header = json.loads(np.load(file)["header"].tobytes())
     header["versions"]["pymunk"] = "6.0.0"
+    del header["versions"]["closure_rules"]
     header["maps"][0]["yaml"] = header["maps"][0]["yaml"].replace("heading: 0.0", "heading: 0.5")
     outcome = replay(changed(file, tmp_path / "run.npz", header))
-    made, plan = outcome.verdict().splitlines()[1:]
+    rules, made, plan = outcome.verdict().splitlines()[1:]
+    assert rules.startswith("older rules: made with version 1 of the closure rules; this is ")
     assert made.startswith("made with pymunk 6.0.0; this is 7.")
     assert plan.startswith("the plan ring in cyclic_env has changed")
     assert outcome.first_difference == 0

@@ -137,10 +137,14 @@ class ClosureTwin:
         (ax, ay), (bx, by) = self.positions[t], self.positions[k]
         return (bx - ax) * (bx - ax) + (by - ay) * (by - ay)
 
+    def sees(self, t: int, k: int, walls: Sequence[Wall]) -> bool:
+        """Return whether p_k is in sight of p_t, or so near that it counts as that."""
+        given = self.square(t, k) < self.config.sight_given**2
+        return given or line_of_sight(walls, self.positions[t], self.positions[k])
+
     def same_place(self, t: int, k: int) -> bool:
         """Return whether p_t is within the radius and in sight of p_k."""
-        near = self.square(t, k) <= self.config.return_radius**2
-        return near and line_of_sight(self.walls, self.positions[t], self.positions[k])
+        return self.square(t, k) <= self.config.return_radius**2 and self.sees(t, k, self.walls)
 
     def came_back(self, t: int, k: int) -> bool:
         """Return whether the robot went far enough, and far enough away from p_t, between the steps k and t."""
@@ -162,7 +166,7 @@ class ClosureTwin:
         near = sorted((square, k) for square, k in squares if square <= radius**2)
         walls = walls_near(self.walls, here, radius)
         for _, k in near:
-            if self.lengths[t] - self.lengths[k] >= self.config.gap and line_of_sight(walls, here, self.positions[k]):
+            if self.lengths[t] - self.lengths[k] >= self.config.gap and self.sees(t, k, walls):
                 return k
         return None
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -553,6 +553,7 @@ SMALL = ClosureConfig(
 RAW = ClosureConfig(
     return_radius=2.0, gap=8.0, leave_radius=3.0, event_gap=0.0, event_length_min=0.0, claim_spacing=0.0
 )
+THROUGH_WALLS = replace(SMALL, sight_given=0.75)
 
 
 def assert_twin_agrees(
@@ -619,7 +620,7 @@ kinds = st.lists(st.sampled_from(CLAIM_KINDS), min_size=1, max_size=7)
     ),
     legs=legs,
     kinds=kinds,
-    config=st.sampled_from([ClosureConfig(), SMALL, RAW]),
+    config=st.sampled_from([ClosureConfig(), SMALL, RAW, THROUGH_WALLS]),
     ends=st.booleans(),
 )
 def test_compiled_truth_equals_its_twin_on_random_walks(plan_start, legs, kinds, config, ends):

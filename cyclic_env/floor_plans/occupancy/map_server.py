@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import yaml
 
 from cyclic_env.atomic_write import atomic_write, write_text_atomically
 from cyclic_env.errors import FloorPlanError
@@ -23,7 +22,7 @@ from cyclic_env.floor_plans.occupancy.grid import (
     check_resolution,
     check_size,
 )
-from cyclic_env.floor_plans.yaml_io import as_list, as_number, as_start, as_text, name_of, read_yaml
+from cyclic_env.floor_plans.yaml_io import as_list, as_number, as_start, as_text, dump_yaml, name_of, read_yaml
 from cyclic_env.validation import short_repr, unknown_name
 
 if TYPE_CHECKING:
@@ -273,6 +272,6 @@ def write_occupancy_grid(grid: OccupancyGrid, path: str | Path) -> None:
     try:
         with atomic_write(image) as part:
             Image.fromarray(np.ascontiguousarray(shades[::-1])).save(part, "PPM")
-        write_text_atomically(path, yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120))
+        write_text_atomically(path, dump_yaml(data))
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error

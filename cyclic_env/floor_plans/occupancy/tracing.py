@@ -17,8 +17,10 @@ import numpy as np
 import shapely
 from shapely.geometry import Point, Polygon
 
+from cyclic_env.config import RobotConfig
 from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, Pose
+from cyclic_env.floor_plans.occupancy.dropped import DroppedPlace, dropped_places
 from cyclic_env.floor_plans.occupancy.grid import OccupancyGrid
 from cyclic_env.floor_plans.occupancy.morphology import grow_back
 from cyclic_env.floor_plans.occupancy.outline import simplify_outline, trace_outline
@@ -54,19 +56,22 @@ class Tracing(NamedTuple):
         Number of groups of wall cells that were too small to keep.
     speck_area, dropped_area : float
         Area of these, and of free cells that are not in the plan because they are out of reach or too narrow, m2.
+    dropped : tuple of DroppedPlace
+        The larger places among these cells.
     """
 
     plan: FloorPlan
     specks: int
     speck_area: float
     dropped_area: float
+    dropped: tuple[DroppedPlace, ...]
 
 
 def trace_floor_plan(
     grid: OccupancyGrid,
     *,
     start: Pose | None = None,
-    robot_radius: float = 0.25,
+    robot_radius: float = RobotConfig().radius,
     speck_area: float = 0.04,
     gap: float = 0.2,
     nook_area: float = 0.5,
@@ -124,8 +129,8 @@ def trace_floor_plan(
     with_pockets: Tracing | None = None
     problems: list[FloorPlanError] = []
     try:
-        for outline, cells in _outlines(part, start, robot_radius, gap, nook_area, door, tolerance):
-            dropped = side**2 * int(np.count_nonzero(part.free) - cells)
+        for outline, space, glimpses in _outlines(part, start, robot_radius, gap, nook_area, door, tolerance):
+            dropped = side**2 * int(np.count_nonzero(part.free) - np.count_nonzero(space))
             for share in (1.0, 0.5):
                 polygon = simplify_outline(outline, share * tolerance / side, grid)
                 try:
@@ -134,7 +139,8 @@ def trace_floor_plan(
                 except FloorPlanError as error:
                     problems.append(error)
                     continue
-                tracing = Tracing(plan, specks, side**2 * speck_cells, dropped)
+                places = dropped_places(part, space, glimpses)
+                tracing = Tracing(plan, specks, side**2 * speck_cells, dropped, places)
                 if not plan.unreached(home, robot_radius):
                     return tracing
                 with_pockets = with_pockets or tracing
@@ -163,15 +169,15 @@ def _outlines(
     nook_area: float,
     door: float,
     tolerance: float,
-) -> Iterator[tuple[Polygon, int]]:
-    """Yield the outline of the free space that a robot reaches, and its number of cells, for an ever larger robot."""
+) -> Iterator[tuple[Polygon, np.ndarray, np.ndarray]]:
+    """Yield the outline and the cells of the space that a robot reaches, and the glimpses, for an ever larger robot."""
     side = part.grid.resolution
     for i in range(ROUNDS):
         radius = robot_radius / side + CLEARANCE + i / (ROUNDS - 1) * (1 + tolerance / side)
-        centres = reachable_centres(part, radius, start)
-        centres = drop_glimpses(centres, part, radius, door / side, start)
+        reachable = reachable_centres(part, radius, start)
+        centres = drop_glimpses(reachable, part, radius, door / side, start)
         space = grow_back(centres, part.free, radius, gap / side, nook_area / side**2)
-        yield trace_outline(space, part.corner), int(np.count_nonzero(space))
+        yield trace_outline(space, part.corner), space, reachable & ~centres
 
 
 def _plan(grid: OccupancyGrid, polygon: Polygon, start: Pose | None) -> FloorPlan:

@@ -26,10 +26,14 @@ def write_map(folder: Path, image: np.ndarray | Image.Image, suffix: str = ".png
     return path
 
 
+def unknown(width: float, height: float) -> np.ndarray:
+    """Return the cells of unknown space of that size in metres, and 1 m around it."""
+    return np.full((round(height / RESOLUTION) + 40, round(width / RESOLUTION) + 40), -1, np.int8)
+
+
 def floor(width: float, height: float) -> np.ndarray:
     """Return the cells of a hall of that size in metres, with walls and 1 m of unknown space around it."""
-    columns, rows = round(width / RESOLUTION), round(height / RESOLUTION)
-    cells = np.full((rows + 40, columns + 40), -1, np.int8)
+    cells = unknown(width, height)
     cells[19:-19, 19:-19] = 100
     cells[20:-20, 20:-20] = 0
     return cells
@@ -39,6 +43,14 @@ def box(cells: np.ndarray, x: float, y: float, width: float, height: float, valu
     """Paint a box, placed in metres from the hall's south-west corner, to the nearest cell."""
     row, column, high, wide = (round(length / RESOLUTION) for length in (y, x, height, width))
     cells[20 + row : 20 + row + high, 20 + column : 20 + column + wide] = value
+
+
+def walled(cells: np.ndarray, x: float, y: float, width: float, height: float) -> None:
+    """Paint a free box, with walls around it where nothing is known."""
+    row, column, high, wide = (round(length / RESOLUTION) for length in (y, x, height, width))
+    part = cells[18 + row : 22 + row + high, 18 + column : 22 + column + wide]
+    part[part == -1] = 100
+    box(cells, x, y, width, height, value=0)
 
 
 def grid_of(cells: np.ndarray) -> OccupancyGrid:

@@ -89,6 +89,12 @@ def test_keys_may_be_left_out_and_others_be_there(tmp_path: Path) -> None:
     assert read_cells(tmp_path, SHADES, **keys) == [[100, 0, -1], [0, 100, 0]]
 
 
+def test_numbers_may_be_written_with_an_exponent_alone(tmp_path: Path) -> None:
+    path = write_map(tmp_path, SHADES, resolution=None)
+    path.write_text(path.read_text() + "resolution: 5e-2\n")
+    assert read_occupancy_grid(path).resolution == 0.05
+
+
 def test_text_images_of_ascii_are_read(tmp_path: Path) -> None:
     (tmp_path / "ascii.pgm").write_text("P2\n# a comment\n3 1\n255\n0 254 205\n")
     path = write_map(tmp_path, SHADES, image="ascii.pgm")
