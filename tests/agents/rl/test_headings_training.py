@@ -113,7 +113,8 @@ def test_the_folder_of_a_run_stands_for_the_model_that_scored_best(tmp_path: Pat
 
 
 def test_a_flat_network_learns_too(tmp_path: Path) -> None:
-    model = train(TrainingSettings(**{**SMALL, "algo": "ppo"}), steps=UPDATE, out=tmp_path)
+    settings = TrainingSettings(**{**SMALL, "algo": "ppo"}, validation_map=("ring",), validation_envs=2)
+    model = train(settings, steps=UPDATE, out=tmp_path)
     assert model.num_timesteps == UPDATE
 
 
@@ -151,3 +152,22 @@ def test_bad_hyperparameters_are_one_clear_line(tmp_path: Path, text: str, messa
 def test_an_algorithm_that_does_not_learn_the_task_is_refused() -> None:
     with pytest.raises(ConfigError, match="maskable_ppo"):
         TrainingSettings(task="headings", algo="sac")
+
+
+def test_scores_of_raw_models_are_of_one_episode_a_row_too(tmp_path: Path) -> None:
+    settings = TrainingSettings(num_envs=2, step_budget=30, validation_map=("ring",), validation_envs=2)
+    train(settings, steps=256, out=tmp_path)
+    assert curve(tmp_path, VALIDATION).splitlines()[1].startswith("256,2,")
+
+
+@pytest.mark.slow
+def test_half_a_million_decisions_close_most_cycles_of_unseen_buildings(tmp_path: Path) -> None:
+    """Takes ten minutes on two cores."""
+    settings = training_settings({"task": "headings", "noise": "calibrated"})
+    train(settings, steps=500_000, out=tmp_path)
+    records = first_episodes(load_trained(tmp_path).model, settings.make_validation_env(), 1)
+    closed, total, false = (
+        sum(record[name] for record in records) for name in ("cycles_closed", "cycles_total", "false_claims")
+    )
+    assert closed > 0.8 * total
+    assert false < 0.5 * len(records)
