@@ -1,45 +1,49 @@
-"""How an agent's decision, a drive and perhaps a claim, is written as an action of the environment."""
+"""An agent's decision, and how it is written as an action of the environment."""
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
 from cyclic_env.config import ActionType
 
 MATCH_START = -1.0
-"""Match of an action that claims to be back at the reset."""
+"""The match of a claim to be back at the reset."""
 STOP, FORWARD, TURN_LEFT, TURN_RIGHT, BACK = range(5)
 """The discrete drives."""
 TURN_FROM = 0.12
-"""Radians; discrete turns are 10 degrees a step, so smaller errors of the heading can't be mended."""
+"""Radians a second, as a share of full turning, from which a discrete action turns: one turn is 10 degrees, so smaller
+errors of the heading can't be mended."""
 
 
-def drive_actions(drive: np.ndarray, action_type: ActionType, claims: np.ndarray, matches: np.ndarray) -> np.ndarray:
-    """Return actions `(N, 4)` float32, or `(N, 2)` int64 if discrete.
+class Decision(NamedTuple):
+    """What one robot does in a step."""
 
-    Parameters
-    ----------
-    drive : (N, 2)
-        Speed and turning rate as shares of a full twist.
-    action_type : {"wheels", "twist", "discrete"}
-    claims, matches : (N,)
-        As in the action space; a discrete claim has no match.
-    """
-    speed, turn = drive.T
+    speed: float
+    """Share of full speed, -1 to 1."""
+    turn: float
+    """Share of the full turning rate, counter-clockwise, -1 to 1."""
+    claim: bool = False
+    """Whether the robot says that it is back at a place where it has been before."""
+    match: float = MATCH_START
+    """When it was there, from -1 (the reset) to 1 (now); see `match_of`."""
+
+
+def match_of(step: int, steps: int) -> float:
+    """Return the match that names a step among the `steps` so far, the one that is being decided among them."""
+    return 2 * step / steps - 1
+
+
+def encode_action(decision: Decision, action_type: ActionType) -> tuple[float, ...]:
+    """Return a decision as an action: four numbers, or two whole numbers (drive, claim) if the actions are discrete."""
+    speed, turn, claim, match = decision
     if action_type == "discrete":
-        drives = np.select(
-            [turn > TURN_FROM, turn < -TURN_FROM, speed > 0, speed < 0],
-            [TURN_LEFT, TURN_RIGHT, FORWARD, BACK],
-            STOP,
-        )
-        return np.column_stack([drives, claims > 0])
+        if abs(turn) > TURN_FROM:
+            return (TURN_LEFT if turn > 0 else TURN_RIGHT), int(claim)
+        return (FORWARD if speed > 0 else BACK if speed < 0 else STOP), int(claim)
+    sign = 1.0 if claim else -1.0
     if action_type == "twist":
-        return with_claims(drive, claims, matches)
-    # A full turn, 3 rad/s, is half of the wheels' speed to either side.
-    wheels = np.column_stack([speed - turn / 2, speed + turn / 2])
-    return with_claims(wheels / np.maximum(1.0, np.abs(wheels).max(axis=1, keepdims=True)), claims, matches)
-
-
-def with_claims(drives: np.ndarray, claims: np.ndarray, matches: np.ndarray) -> np.ndarray:
-    """Return drives `(N, 2)`, claims and matches `(N,)` as actions `(N, 4)` float32."""
-    return np.column_stack([drives, claims, matches]).astype(np.float32)
+        return speed, turn, sign, match
+    # Turning at the full rate, 3 rad/s, takes half of the wheels' speed on either side.
+    left, right = speed - turn / 2, speed + turn / 2
+    scale = max(1.0, abs(left), abs(right))
+    return left / scale, right / scale, sign, match

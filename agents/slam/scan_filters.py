@@ -1,24 +1,37 @@
 """What takes wrong ranges out of a scan, and tells which of its endpoints lie on walls as they were measured.
 
 A scan is `(beams,)` ranges in metres, beam 0 straight ahead, counter-clockwise, evenly spaced. Poses are
-(x, y, heading) in the frame of the track. The kernels do not validate; angles are radians.
+(x, y, heading) in the frame of the track; angles are radians. The kernels do not validate.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
+from agents.settings import ComponentConfig
 from cyclic_env.jit import compiled
 
 SHORT_OF_REACH = 0.05
-"""Metres: a range that is less short of the laser's reach than that met no wall."""
-CONFIRM = 0.4
-"""Metres."""
-SOUND, SOUND_NOISE = 0.02, 2.5
-"""Metres by which an end may be moved from where it was measured; and, for noise moves all, how many times as far as
-the lower three quarters of them."""
+"""Metres of rounding: a range that is less short of the laser's reach than this met no wall."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterConfig(ComponentConfig):
+    """Which ranges are believed."""
+
+    scans_to_confirm: int = 2
+    """Earlier scans, of which one must agree with a range."""
+    confirm_tolerance: float = 0.4
+    confirm_beams: int = 2
+    """Beams on either side within which an earlier scan is asked."""
+    shift_max: float = 0.02
+    """Metres by which the median filter may move an endpoint that is matched afterwards."""
+    shift_noise: float = 2.5
+    """Where noise makes it move all endpoints: how many times as far as `shift_quantile` of them."""
+    shift_quantile: float = 0.75
 
 
 @compiled
@@ -30,10 +43,10 @@ def _median_of_three(ranges, k):
 
 @compiled
 def despeckle(ranges, out):
-    """Write into `out` `(beams,)` the median of five beams, of what the median of three has made of the ranges.
+    """Write into `out` `(beams,)` the median of five beams, each of which is first the median of three.
 
-    Two wrong ranges are dropped. The median of five alone would, next to a wrong one, take the next beam's for a beam's
-    on a wall seen at a slant, and see through the wall.
+    This drops up to two wrong ranges in a row. The median of five alone would, next to a wrong range on a wall seen at
+    a slant, take the next beam's range, and so see through the wall.
     """
     a, b, c, d = (
         _median_of_three(ranges, -2),
@@ -43,17 +56,17 @@ def despeckle(ranges, out):
     )
     for k in range(ranges.shape[0]):
         e = _median_of_three(ranges, k + 2)
-        # The least and the most of the first four can't be the median; it is that of the two left and the fifth.
+        # The least and the greatest of the first four can't be the median: it is that of the other two and the fifth.
         low, high = max(min(a, b), min(c, d)), min(max(a, b), max(c, d))
         out[k] = max(min(low, high), min(max(low, high), e))
         a, b, c, d = b, c, d, e
 
 
 @compiled
-def confirm(ranges, pose, earlier, earlier_pose, confirmed):
-    """Set `confirmed` `(beams,)` where a beam's end agrees with an earlier scan, taken a short way off.
+def confirm(ranges, pose, earlier, earlier_pose, confirmed, tolerance, beams):
+    """Set `confirmed` `(beams,)` where an earlier scan, taken a short way off, agrees with a range.
 
-    Agreement is loose: within `CONFIRM` metres of what the earlier scan has within two beams of the end's bearing.
+    It agrees if the endpoint lies within `tolerance` of what the earlier scan shows within `beams` beams of it.
     """
     n = ranges.shape[0]
     spacing = 2 * math.pi / n
@@ -62,17 +75,17 @@ def confirm(ranges, pose, earlier, earlier_pose, confirmed):
         dx = pose[0] + ranges[k] * math.cos(angle) - earlier_pose[0]
         dy = pose[1] + ranges[k] * math.sin(angle) - earlier_pose[1]
         distance = math.sqrt(dx * dx + dy * dy)
-        centre = round((math.atan2(dy, dx) - earlier_pose[2]) / spacing)
+        center = round((math.atan2(dy, dx) - earlier_pose[2]) / spacing)
         least, most = math.inf, 0.0
-        for i in range(centre - 2, centre + 3):
+        for i in range(center - beams, center + beams + 1):
             least, most = min(least, earlier[i % n]), max(most, earlier[i % n])
-        if least - CONFIRM <= distance <= most + CONFIRM:
+        if least - tolerance <= distance <= most + tolerance:
             confirmed[k] = True
 
 
 @compiled
 def fill(ranges, confirmed, out):
-    """Write the ranges into `out` `(beams,)`, those not confirmed replaced by the nearer of the next confirmed ones."""
+    """Write the ranges into `out` `(beams,)`, unconfirmed ones replaced by the nearer of the next confirmed ones."""
     n = ranges.shape[0]
     for k in range(n):
         out[k] = ranges[k]
@@ -87,11 +100,15 @@ def fill(ranges, confirmed, out):
                 break
 
 
-def reliable_endpoints(scan: np.ndarray, measured: np.ndarray, range_max: float) -> np.ndarray:
-    """Return the ranges `(..., beams)` of scans whose ends lie on walls as measured; `range_max` for all others.
+def reliable_endpoints(
+    scan: np.ndarray, measured: np.ndarray, range_max: float, config: FilterConfig | None = None
+) -> np.ndarray:
+    """Return the ranges `(..., beams)` of filtered scans that are as they were measured, `range_max` for the others.
 
-    What takes the speckle out of a scan also rounds the corners that it sees, by more than noise: ends that it has
-    moved would pull at a match, back to where the other scan was taken.
+    The filter also rounds corners, by more than noise. Matched, such endpoints would pull a scan back to where the
+    other one was taken.
     """
-    moved = np.abs(scan - measured)
-    return np.where(moved > SOUND + SOUND_NOISE * np.quantile(moved, 0.75, axis=-1, keepdims=True), range_max, scan)
+    config = config or FilterConfig()
+    shift = np.abs(scan - measured)
+    typical = np.quantile(shift, config.shift_quantile, axis=-1, keepdims=True)
+    return np.where(shift > config.shift_max + config.shift_noise * typical, range_max, scan)

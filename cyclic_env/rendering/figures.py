@@ -7,7 +7,6 @@ module needs the extra ``plot``.
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path as FilePath
 
@@ -25,7 +24,6 @@ try:
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
-    from matplotlib.patheffects import withStroke
 except ImportError as error:
     raise ConfigError('figures need matplotlib, which is missing; pip install "cyclic-loop[plot]".') from error
 
@@ -41,28 +39,6 @@ SCALE_BAR = 10.0
 """Length of the scale bar below each building of a contact sheet, metres."""
 PATH_SPACING = 0.2
 """Metres between the drawn points of a path."""
-POINTS = 72.0
-"""Points per inch."""
-DISC = 9.0
-"""Points across a numbered disc; discs that would overlap are moved apart, and have lines to their places."""
-SPREAD_ROUNDS = 200
-LABELS_APART = 16.0
-"""Points between the names of two groups at least; else the shorter group goes without."""
-
-COMPASS = ("north", "east", "south", "west")
-COMPASS_COLOURS: tuple[Color, ...] = ((60, 160, 205), (226, 120, 10), (125, 85, 55), (140, 80, 165))
-ASIDE = np.array([(1.0, 0.0), (0.0, -1.0), (-1.0, 0.0), (0.0, 1.0)])
-"""To the right of each direction, east and north: there its labels go, so that those of a way back go elsewhere."""
-LABEL_AFTER = 0.035
-"""Length from which a group has its name beside it, as a share of the building's longer side."""
-
-AREA_STYLES: dict[str, tuple[Color, Color, Color]] = {
-    "visited": (INK, INK, FLOOR),
-    "struck off": (FLOOR, FAINT, INK),
-    "open": (AMBER, INK, INK),
-    "out of reach": (FLOOR, WRONG, WRONG),
-}
-"""Fill, edge and number of an open area in each state."""
 
 
 def check_figure(path: FilePath) -> None:
@@ -97,15 +73,15 @@ def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, 
     figure = Figure((WIDTH, total))
     left = LEFT + (WIDTH - LEFT - RIGHT_OF - scale * width) / 2
     axes = figure.add_axes((left / WIDTH, BELOW / total, scale * width / WIDTH, scale * height / total))
-    axes.set(xlim=(west - margin, east + margin), ylim=(south - margin, north + margin), facecolor=_rgb(SOLID))
-    axes.tick_params(labelsize=7, colors=_rgb(FAINT), length=2.5)
-    axes.set_ylabel("metres north", fontsize=7, color=_rgb(FAINT))
-    axes.set_xlabel("metres east", fontsize=7, color=_rgb(FAINT), labelpad=1)
+    axes.set(xlim=(west - margin, east + margin), ylim=(south - margin, north + margin), facecolor=rgb(SOLID))
+    axes.tick_params(labelsize=7, colors=rgb(FAINT), length=2.5)
+    axes.set_ylabel("metres north", fontsize=7, color=rgb(FAINT))
+    axes.set_xlabel("metres east", fontsize=7, color=rgb(FAINT), labelpad=1)
     for spine in axes.spines.values():
-        spine.set_edgecolor(_rgb(FAINT))
+        spine.set_edgecolor(rgb(FAINT))
         spine.set_linewidth(0.5)
     _draw_building(axes, plan, linewidth=0.7)
-    above = {"color": _rgb(INK), "va": "center", "parse_math": False}  # a dollar sign stays one
+    above = {"color": rgb(INK), "va": "center", "parse_math": False}  # a dollar sign stays one
     figure.text(LEFT / WIDTH, 1 - 0.2 / total, title, fontsize=11, fontweight="bold", **above)
     figure.text(LEFT / WIDTH, 1 - 0.42 / total, scores, fontsize=8.5, **above)
     return figure, axes
@@ -125,18 +101,18 @@ def contact_sheet(plans: Sequence[FloorPlan], captions: Sequence[str], marked: S
     columns = min(math.ceil(math.sqrt(len(plans))), SHEET_COLUMNS_MAX)
     rows = math.ceil(len(plans) / columns)
     cell = WIDTH / columns
-    figure = Figure((WIDTH, rows * cell), layout="constrained", facecolor=_rgb(SOLID))
+    figure = Figure((WIDTH, rows * cell), layout="constrained", facecolor=rgb(SOLID))
     for i, (plan, caption, points) in enumerate(zip(plans, captions, marked, strict=True)):
         axes = figure.add_subplot(rows, columns, i + 1)
         axes.set_axis_off()
         axes.set_aspect("equal")
         _draw_building(axes, plan, linewidth=0.4)
-        axes.scatter(*points.T, s=1.5, color=_rgb(AMBER), linewidths=0, zorder=2)
+        axes.scatter(*points.T, s=1.5, color=rgb(AMBER), linewidths=0, zorder=2)
         axes.autoscale_view()
         west, south, *_ = plan.bounds
-        axes.plot([west, west + SCALE_BAR], [south - 4, south - 4], color=_rgb(INK), linewidth=1.2)
-        axes.annotate(f" {SCALE_BAR:g} m", (west + SCALE_BAR, south - 4), fontsize=5, color=_rgb(INK), va="center")
-        axes.set_title(caption, fontsize=6, color=_rgb(INK), parse_math=False)
+        axes.plot([west, west + SCALE_BAR], [south - 4, south - 4], color=rgb(INK), linewidth=1.2)
+        axes.annotate(f" {SCALE_BAR:g} m", (west + SCALE_BAR, south - 4), fontsize=5, color=rgb(INK), va="center")
+        axes.set_title(caption, fontsize=6, color=rgb(INK), parse_math=False)
     return figure
 
 
@@ -152,48 +128,16 @@ def draw_path(axes: Axes, trajectory: np.ndarray, *, by_time: bool = True) -> No
         Whether to draw earlier parts paler.
     """
     points = _thinned(trajectory)[:, :2]
-    colors = LinearSegmentedColormap.from_list("time", [_rgb(PATH_OLD), _rgb(PATH_NEW)])
+    colors = LinearSegmentedColormap.from_list("time", [rgb(PATH_OLD), rgb(PATH_NEW)])
     pieces = np.stack([points[:-1], points[1:]], axis=1)
     lines = LineCollection(list(pieces), cmap=colors, linewidths=1.3, capstyle="round", zorder=2)
     lines.set_array(np.arange(len(pieces)) if by_time else np.ones(len(pieces)))
     axes.add_collection(lines)
-    axes.plot([], [], color=_rgb(PATH_NEW), linewidth=1.5, label="path (darker: later)" if by_time else "path")
-    start = {"marker": "D", "markersize": 6, "markeredgecolor": _rgb(FLOOR), "markeredgewidth": 0.8}
+    axes.plot([], [], color=rgb(PATH_NEW), linewidth=1.5, label="path (darker: later)" if by_time else "path")
+    start = {"marker": "D", "markersize": 6, "markeredgecolor": rgb(FLOOR), "markeredgewidth": 0.8}
     end = {"marker": "s", "markersize": 12, "fillstyle": "none", "markeredgewidth": 1.2}  # around any other mark
     for position, style, label in ((points[0], start, "start"), (points[-1], end, "end")):
-        axes.plot(*position, linestyle="", color=_rgb(INK), label=label, zorder=7, **style)
-
-
-def draw_groups(axes: Axes, groups: Sequence[tuple[str, int, np.ndarray]]) -> None:
-    """Draw rows of places as dots in the colour of their group's direction; long groups have their name beside them.
-
-    Parameters
-    ----------
-    axes : Axes
-    groups : sequence of (name, direction, positions)
-        Direction 0 to 3: north, east, south, west; positions `(n, 2)` in metres.
-    """
-    for direction, (word, colour) in enumerate(zip(COMPASS, COMPASS_COLOURS, strict=True)):
-        mine = [positions for _, of, positions in groups if of == direction and len(positions)]
-        if mine:
-            style = {"linestyle": "", "marker": "o", "markeredgewidth": 0, "color": _rgb(colour)}
-            axes.plot(*np.concatenate(mine).T, markersize=2.2, zorder=3, **style)
-            axes.plot([], [], markersize=4, label=f"{word}ward", **style)
-    least = LABEL_AFTER * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
-    lengths = [np.hypot(*np.ptp(positions, axis=0)) if len(positions) else 0.0 for _, _, positions in groups]
-    taken: list[np.ndarray] = []
-    for i in sorted(range(len(groups)), key=lambda i: -lengths[i]):
-        name, direction, positions = groups[i]
-        if lengths[i] < least:
-            break
-        aside = 13 * ASIDE[direction]
-        place = _to_points(axes, positions[len(positions) // 2]) + aside
-        if all(np.hypot(*(place - other)) >= LABELS_APART for other in taken):
-            taken.append(place)
-            middle = positions[len(positions) // 2]
-            style = {"ha": "center", "va": "center", "fontsize": 6.5, "color": _rgb(COMPASS_COLOURS[direction])}
-            halo = [withStroke(linewidth=1.5, foreground=_rgb(SOLID))]
-            axes.annotate(name, middle, aside, textcoords="offset points", zorder=4, path_effects=halo, **style)
+        axes.plot(*position, linestyle="", color=rgb(INK), label=label, zorder=7, **style)
 
 
 def draw_claims(axes: Axes, trajectory: np.ndarray, claims: np.ndarray) -> None:
@@ -220,42 +164,17 @@ def draw_claims(axes: Axes, trajectory: np.ndarray, claims: np.ndarray) -> None:
             continue
         linked = kind & (claims["match"] >= 0)
         lines = np.stack([made[linked], named[linked]], axis=1)
-        axes.add_collection(LineCollection(list(lines), colors=[_rgb(color)], linewidths=1.0, zorder=zorder - 0.2))
-        ring = {"marker": "o", "markersize": 2.5, "markerfacecolor": _rgb(FLOOR), "markeredgewidth": 0.7}
-        axes.plot(*named[linked].T, linestyle="", color=_rgb(color), zorder=zorder - 0.1, **ring)
-        style = {"marker": marker, "markersize": size, "markeredgecolor": _rgb(FLOOR), "markeredgewidth": 0.6}
+        axes.add_collection(LineCollection(list(lines), colors=[rgb(color)], linewidths=1.0, zorder=zorder - 0.2))
+        ring = {"marker": "o", "markersize": 2.5, "markerfacecolor": rgb(FLOOR), "markeredgewidth": 0.7}
+        axes.plot(*named[linked].T, linestyle="", color=rgb(color), zorder=zorder - 0.1, **ring)
+        style = {"marker": marker, "markersize": size, "markeredgecolor": rgb(FLOOR), "markeredgewidth": 0.6}
         label = f"{label} ({np.count_nonzero(kind)})"
-        axes.plot(*made[kind].T, linestyle="", color=_rgb(color), label=label, zorder=zorder, **style)
+        axes.plot(*made[kind].T, linestyle="", color=rgb(color), label=label, zorder=zorder, **style)
     if (claims["match"] >= 0).any():
-        line = {"marker": "o", "markersize": 3.0, "markerfacecolor": _rgb(FLOOR), "markeredgewidth": 0.7}
-        axes.plot([], [], color=_rgb(FAINT), linewidth=1.0, label="claim to match", **line)
+        line = {"marker": "o", "markersize": 3.0, "markerfacecolor": rgb(FLOOR), "markeredgewidth": 0.7}
+        axes.plot([], [], color=rgb(FAINT), linewidth=1.0, label="claim to match", **line)
     for number, position in enumerate(made[closing], 1):
-        _write(axes, str(number), position, FLOOR, 6.5, 6.5)
-
-
-def draw_open_areas(axes: Axes, positions: np.ndarray, numbers: Sequence[int], states: Sequence[str]) -> None:
-    """Draw open areas as numbered discs, by state.
-
-    Parameters
-    ----------
-    axes : Axes
-    positions : (n, 2)
-        Metres.
-    numbers : sequence of int
-    states : sequence of str
-        Each one of `AREA_STYLES`.
-    """
-    shown = axes.transData.inverted().transform(spread(_to_points(axes, positions), DISC) / POINTS * axes.figure.dpi)
-    lines = np.stack([positions, shown], axis=1)
-    axes.add_collection(LineCollection(list(lines), colors=[_rgb(FAINT)], linewidths=0.6, zorder=4))
-    for state, count in sorted(Counter(states).items()):
-        fill, edge, ink = AREA_STYLES[state]
-        mine = [i for i in range(len(numbers)) if states[i] == state]
-        style = {"marker": "o", "markersize": DISC, "markeredgecolor": _rgb(edge), "markeredgewidth": 0.8}
-        label = f"open area{'' if state == 'open' else ', ' + state} ({count})"
-        axes.plot(*shown[mine].T, linestyle="", color=_rgb(fill), label=label, zorder=4.2, **style)
-        for i in mine:
-            _write(axes, str(numbers[i]), shown[i], ink, 5.5, 4.4)
+        write_number(axes, str(number), position, FLOOR, 6.5, 6.5)
 
 
 def add_legend(axes: Axes) -> None:
@@ -264,7 +183,7 @@ def add_legend(axes: Axes) -> None:
     entries = axes.get_legend_handles_labels()
     rows = math.ceil(len(entries[1]) / LEGEND_COLUMNS_MAX)
     columns = math.ceil(len(entries[1]) / rows)
-    figure.legend(*entries, loc="lower center", ncols=columns, fontsize=7.5, frameon=False, labelcolor=_rgb(INK))
+    figure.legend(*entries, loc="lower center", ncols=columns, fontsize=7.5, frameon=False, labelcolor=rgb(INK))
 
 
 def _thinned(trajectory: np.ndarray) -> np.ndarray:
@@ -273,35 +192,14 @@ def _thinned(trajectory: np.ndarray) -> np.ndarray:
     return trajectory[np.append(np.flatnonzero(np.diff(passed, prepend=-1.0)), len(trajectory) - 1)]
 
 
-def spread(places: np.ndarray, apart: float) -> np.ndarray:
-    """Return places `(n, 2)` moved as far as needs be that any two are `apart`, or nearly so in a dense crowd.
-
-    Of two at the same place the later one is moved, to the east.
-    """
-    places = places + 1e-3 * np.arange(len(places))[:, None] * (1.0, 0.0)
-    for _ in range(SPREAD_ROUNDS):
-        off = places[:, None] - places[None]
-        away = np.hypot(off[..., 0], off[..., 1])
-        np.fill_diagonal(away, np.inf)
-        short = np.maximum(apart - away, 0.0)
-        if not short.any():
-            break
-        places = places + 0.5 * (off / away[..., None] * short[..., None]).sum(axis=1)
-    return places
-
-
-def _to_points(axes: Axes, positions: np.ndarray) -> np.ndarray:
-    """Return positions `(..., 2)` in metres as points on the page."""
-    return axes.transData.transform(positions) / axes.figure.dpi * POINTS
-
-
-def _write(axes: Axes, text: str, position: np.ndarray, colour: Color, size: float, zorder: float) -> None:
+def write_number(axes: Axes, text: str, position: np.ndarray, colour: Color, size: float, zorder: float) -> None:
+    """Write a short text centered on a position, metres."""
     axes.text(
         position[0],
         position[1],
         text,
         fontsize=size,
-        color=_rgb(colour),
+        color=rgb(colour),
         ha="center",
         va="center_baseline",
         zorder=zorder,
@@ -312,9 +210,10 @@ def _draw_building(axes: Axes, plan: FloorPlan, linewidth: float) -> None:
     """Draw a building's floor and walls."""
     rings = [np.vstack([ring, ring[:1]]) for ring in plan.rings]
     outline = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
-    axes.add_patch(PathPatch(outline, facecolor=_rgb(FLOOR), edgecolor=_rgb(WALL), linewidth=linewidth, zorder=1))
+    axes.add_patch(PathPatch(outline, facecolor=rgb(FLOOR), edgecolor=rgb(WALL), linewidth=linewidth, zorder=1))
 
 
-def _rgb(colour: Color) -> tuple[float, float, float]:
+def rgb(colour: Color) -> tuple[float, float, float]:
+    """Return a color as Matplotlib has it."""
     red, green, blue = colour
     return red / 255, green / 255, blue / 255

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import inspect
 import itertools
-import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -18,11 +16,11 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
-from agents.knn.explorer import KnnExplorer
+from agents.knn.plotting import draw_groups, draw_open_areas
 from agents.knn.similarity import MEASURES
 from cyclic_env.atomic_write import atomic_write
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.rendering.figures import add_legend, draw_claims, draw_groups, draw_open_areas, draw_path, plan_figure
+from cyclic_env.rendering.figures import add_legend, draw_claims, draw_path, plan_figure
 from scripts.paper.recognition import VECTORS
 from scripts.paper.runs import BEAM_ROUNDING, RunRecord
 from scripts.paper.sections import AGAIN, AGENTS, EXPLORER, SecondLap
@@ -45,8 +43,13 @@ AGENT_STYLES: dict[str, dict[str, Any]] = {
     )
 }
 """Told apart by their markers where colours are not, or lines lie on each other."""
-STEP = re.compile(r"^\s*# (Steps? .+)$", re.MULTILINE)
-"""The comments of the explorer's code that name the paper's steps."""
+STEPS = (
+    "Steps 2 to 4: a change of direction raises the new direction's indicator, and begins a group",
+    "Step 1: add a row to the group's table",
+    "Step 5: compare with the tables of before",
+    "Step 1: add openings to the open areas' list, and strike off those explored",
+    "Step 6: go to an open area, or on",
+)
 
 
 def save(figure: Figure, folder: Path, name: str) -> Path:
@@ -79,16 +82,11 @@ def building(plan: FloorPlan) -> Figure:
     return figure
 
 
-def algorithm_steps() -> list[str]:
-    """Return the paper's steps as the explorer's code names them, in the order in which it takes them."""
-    return STEP.findall(inspect.getsource(KnnExplorer._decide))
-
-
 def algorithm() -> Figure:
-    """Return Figure 2: the algorithm, drawn from the steps that the explorer's code names."""
+    """Return Figure 2: the algorithm, in the order in which the explorer takes the paper's steps."""
     steps = [
         "Sense: laser, distance meter, compass; dead reckoning",
-        *(step.rstrip(".") for step in algorithm_steps()),
+        *STEPS,
         "Drive; claim the place if it is visited",
     ]
     height = 0.85 * len(steps) + 0.25
@@ -220,7 +218,9 @@ def finished_run(plan: FloorPlan, record: RunRecord, title: str) -> Figure:
     """Return Figure 6: the finished run with its numbered open areas, and where it stopped."""
     m = record.metrics
     states = m["area_states"]
-    counts = [f"{states.count(state)} {state}" for state in ("visited", "struck off", "open") if state in states]
+    counts = [
+        f"{states.count(state)} {state}" for state in ("visited", "reached another way", "open") if state in states
+    ]
     scores = (
         f"{m['areas']} open areas: {', '.join(counts)}   {m['cycles_closed']} of {m['cycles_total']} cycles closed   "
     )

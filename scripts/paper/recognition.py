@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from agents.knn.config import preset
-from agents.knn.loop_detector import Detector
+from agents.knn.loop_detector import Vote
 from agents.knn.similarity import measure_by_name
 from agents.slam.keyframes import Keyframes
 from cyclic_env.config import ClosureConfig
@@ -119,13 +119,13 @@ def votes(record: RunRecord, measure: str) -> tuple[np.ndarray, np.ndarray, np.n
         One less the similarity.
     """
     keyframes = Keyframes(1, record.features.shape[2])
-    detector = Detector(preset("paper", measure=measure, sectors=record.features.shape[2]))
+    vote_of_k = Vote(preset("paper", measure=measure, sectors=record.features.shape[2]))
     queries, found, distance = [], [], []
     for i in range(len(record.step)):
         direction, group = int(record.direction[i]), int(record.group[i])
         features = record.features[i].astype(np.float64)
         keyframes.add(features=features, direction=direction, group=group, step=record.step[i], path=record.path[i])
-        rows, similarities = detector.vote(keyframes, np.flatnonzero(keyframes.group != group))
+        rows, similarities = vote_of_k.nearest(keyframes, np.flatnonzero(keyframes.group != group))
         if len(rows):
             queries.append(i)
             found.append(int(rows[0]))

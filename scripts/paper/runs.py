@@ -11,7 +11,8 @@ import numpy as np
 
 from agents.knn.config import ExplorerConfig, preset
 from agents.knn.directions import sector_features
-from agents.knn.explorer import KnnExplorer, Memory
+from agents.knn.explorer import KnnExplorer
+from agents.knn.policy import KnnPolicy
 from agents.slam.scan_filters import despeckle
 from cyclic_env import CyclicLoopEnv
 from cyclic_env.config import NoiseConfig, noise_from_name
@@ -102,7 +103,7 @@ def run_explorer(settings: RunSettings) -> RunRecord:
     CyclicLoopError
         If the settings don't fit.
     """
-    explorer = KnnExplorer(settings.config)
+    explorer = KnnPolicy(settings.config)
     noise = scaled_noise(settings.noise, settings.noise_scale)
     env = CyclicLoopEnv(settings.map, noise=noise, laser={"range_max": settings.range_max})
     observation, info = env.reset(seed=settings.seed)
@@ -117,7 +118,7 @@ def run_explorer(settings: RunSettings) -> RunRecord:
         elif truncated:
             ending = "list empty" if state[0].done else "step budget"
     assert state is not None
-    memory: Memory = state[0]
+    memory: KnnExplorer = state[0]
     tour = env.floor_plan.closed_tour()
     metrics = {
         **{name: value for name, value in info.items() if name != "reward_terms"},
@@ -142,7 +143,7 @@ def _rms(estimated: np.ndarray, steps: np.ndarray, way: np.ndarray) -> float:
     return ate(estimated[:, :2], way[steps, :2] - way[0, :2]) if len(steps) else 0.0
 
 
-def _record(env: CyclicLoopEnv, memory: Memory, metrics: dict[str, Any], headings: np.ndarray) -> RunRecord:
+def _record(env: CyclicLoopEnv, memory: KnnExplorer, metrics: dict[str, Any], headings: np.ndarray) -> RunRecord:
     keyframes, way = memory.keyframes, env.trajectory()
     position = way[keyframes.step, :2]
     areas = [position[area.keyframe] + area.offset for area in memory.frontiers.listed]

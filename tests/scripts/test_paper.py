@@ -14,10 +14,11 @@ import pytest
 from PIL import Image
 
 from agents.knn.config import PRESETS, calibrated_thresholds, preset
-from agents.knn.explorer import KnnExplorer
-from agents.knn.loop_detector import Detector
+from agents.knn.loop_detector import AppearanceDetector
+from agents.knn.policy import KnnPolicy
 from agents.knn.similarity import MEASURES
 from agents.slam.keyframes import Keyframes
+from agents.slam.tracker import DeadReckoningTracker
 from cyclic_env import CyclicLoopEnv, load_floor_plan
 from cyclic_env.config import NOISE_PRESETS
 from cyclic_env.errors import ConfigError, CyclicLoopError
@@ -165,11 +166,11 @@ def test_candidates_are_old_enough_and_of_the_direction(eight: RunRecord, same_d
 def test_votes_are_what_the_explorers_detector_decides(eight: RunRecord) -> None:
     config = preset("paper", threshold=-1.0)
     queries, found, _ = votes(eight, "cosine")
-    detector, places, decided = Detector(config), Keyframes(1, 7), {}
+    detector, places, decided = AppearanceDetector(config), Keyframes(1, 7), {}
     for i in range(len(eight.step)):
         columns = {name: getattr(eight, name)[i] for name in ("direction", "group", "step", "path")}
         places.add(features=eight.features[i], **columns)
-        visited = detector._by_vote(places).visited
+        visited = detector.detect(places, DeadReckoningTracker(), np.zeros(i + 1)).visited
         if visited is not None:
             decided[i] = visited
     assert decided == dict(zip(queries.tolist(), found.tolist(), strict=True))
@@ -290,11 +291,6 @@ def test_a_second_reproduction_runs_nothing_and_says_the_same(tiny: Path, monkey
     assert report_text(results) == (tiny / "report.md").read_text()
 
 
-def test_the_diagram_has_the_steps_of_the_code() -> None:
-    steps = figures.algorithm_steps()
-    assert [re.findall(r"\d", step.split(":")[0]) for step in steps] == [["2", "4"], ["1"], ["5"], ["6"]]
-
-
 def test_rows_are_named_alike_everywhere(tiny: Path) -> None:
     assert f"### Rows {EXPLORER}" in (tiny / "report.md").read_text()
     assert f"### Rows {AGAIN}" in (tiny / "report.md").read_text()
@@ -393,14 +389,14 @@ def test_the_paper_compares_the_opposite_direction_where_it_is_told_to() -> None
         places.add(features=back, group=0, direction=0, step=5)
         places.add(features=np.array([[1, 2, 3], [9, 9, 9]]), group=1, direction=2, step=9)
         config = preset("paper", sectors=3, both_directions=both, threshold=0.9)
-        found[both] = Detector(config)._by_vote(places).visited
+        found[both] = AppearanceDetector(config).detect(places, DeadReckoningTracker(), np.zeros(2)).visited
     assert found == {False: None, True: 0}
 
 
 def test_the_extended_preset_does_not_read_the_threshold() -> None:
     ends = []
     for threshold in (None, -1.0):
-        env, explorer = CyclicLoopEnv("ring"), KnnExplorer(preset("extended", threshold=threshold))
+        env, explorer = CyclicLoopEnv("ring"), KnnPolicy(preset("extended", threshold=threshold))
         observation, info = env.reset(seed=0)
         state, ended = None, False
         while not ended:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from agents.actions import drive_actions
+from agents.actions import Decision, encode_action
 from agents.rl.headings.env import FEATURES
 from agents.rl.headings.memory import HOLD, Rules
 from agents.rl.headings.perception import Perception
@@ -73,8 +73,11 @@ class HeadingsAgent:
             state.held[due] = HOLD
         state.held -= 1
         perception.steer(every, state.commands)
-        drive, claims, matches = state.commands[:, :2], state.commands[:, 2], state.commands[:, 3]
-        actions = drive_actions(drive, self.action_type, claims, matches)
+        rows = [
+            encode_action(Decision(speed, turn, claim > 0, match), self.action_type)
+            for speed, turn, claim, match in state.commands.tolist()
+        ]
+        actions = np.array(rows, np.int64 if self.action_type == "discrete" else np.float32)
         return (actions[0] if single else actions), state
 
     def _decide(self, state: HeadingsState, rows: np.ndarray, deterministic: bool) -> None:

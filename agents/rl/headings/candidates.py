@@ -6,9 +6,11 @@ import math
 
 from agents.rl.headings.memory import CANDIDATES
 from agents.rl.headings.tracking import match_keyframe, mend, set_prior
-from agents.slam.tracker import DRIFT
+from agents.slam.tracker import TrackerConfig
 from cyclic_env.jit import compiled
 
+DRIFT = TrackerConfig().drift_share
+"""As in the explorer."""
 GATE_MIN, GATE_MAX = 3.0, 12.0
 """Metres from the track within which keyframes are candidates, at least and at most."""
 CANDIDATE_SPACING = 2.5

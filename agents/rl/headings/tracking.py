@@ -11,10 +11,23 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.slam.scan_matching import TOLERANCE, align, fit_wall_lines, inlier_ratio
-from agents.slam.tracker import LAG, TURN_ERROR
+from agents.settings import pack
+from agents.slam.scan_matching import (
+    Estimate,
+    MatcherConfig,
+    MatcherValues,
+    Prior,
+    Reference,
+    align,
+    compare_endpoints,
+    fit_wall_lines,
+)
+from agents.slam.tracker import TrackerConfig
 from cyclic_env.jit import compiled
 
+MATCHER = pack(MatcherValues, MatcherConfig())
+LAG, TURN_ERROR = TrackerConfig().bias_gain, TrackerConfig().heading_std
+"""As in the explorer."""
 KEYFRAME_SPACING = 1.0
 """Metres between two keyframes."""
 CAPACITY = 128
@@ -80,6 +93,7 @@ class MatchScratch(NamedTuple):
     pose: np.ndarray
     inverse: np.ndarray
     hessian: np.ndarray
+    gradient: np.ndarray
 
 
 def allocate_keyframes(robots: int, beams: int) -> Keyframes:
@@ -112,6 +126,7 @@ def allocate_match_scratch(beams: int) -> MatchScratch:
         pose=np.zeros(3),
         inverse=np.zeros(3),
         hessian=np.zeros((3, 3)),
+        gradient=np.zeros(3),
     )
 
 
@@ -159,13 +174,14 @@ def match_keyframe(keyframes, i, k, scratch, range_max):
         for c in range(3):
             scratch.lines[b, c] = keyframes.lines[i, k, b, c]
     pose, hessian = scratch.pose, scratch.hessian
-    align(scratch.reference, scratch.lines, scratch.endpoints, range_max, scratch.prior, scratch.spread, pose, hessian)
-    there, seen_there = inlier_ratio(scratch.reference, scratch.scan, range_max, pose, TOLERANCE)
+    reference, prior = Reference(scratch.reference, scratch.lines), Prior(scratch.prior, scratch.spread)
+    align(reference, scratch.endpoints, range_max, prior, Estimate(pose, hessian, scratch.gradient), MATCHER)
+    there, seen_there = compare_endpoints(scratch.reference, scratch.scan, range_max, pose, MATCHER.tolerance)
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     scratch.inverse[0] = -cos * pose[0] - sin * pose[1]
     scratch.inverse[1] = sin * pose[0] - cos * pose[1]
     scratch.inverse[2] = -pose[2]
-    back, seen_back = inlier_ratio(scratch.scan, scratch.reference, range_max, scratch.inverse, TOLERANCE)
+    back, seen_back = compare_endpoints(scratch.scan, scratch.reference, range_max, scratch.inverse, MATCHER.tolerance)
     middle = 0.5 * (hessian[0, 0] + hessian[1, 1])
     eigenvalue = middle - math.sqrt(0.25 * (hessian[0, 0] - hessian[1, 1]) ** 2 + hessian[0, 1] ** 2)
     return min(there, back), min(seen_there, seen_back) / n, eigenvalue / n
@@ -216,7 +232,7 @@ def add_keyframe(robot, keyframes, i, scratch, range_max):
     keyframes.compass[i, k] = robot.compass
     keyframes.step[i, k] = robot.steps
     keyframes.decision[i, k] = robot.decisions
-    fit_wall_lines(scratch.endpoints, range_max, scratch.lines)
+    fit_wall_lines(scratch.endpoints, range_max, scratch.lines, MATCHER)
     for b in range(scratch.scan.shape[0]):
         keyframes.scan[i, k, b] = scratch.scan[b]
         for c in range(3):
