@@ -40,8 +40,8 @@ class TrainingSettings:
     action_type: ActionType = "wheels"
     """Of the task headings it is always twist."""
     step_budget: int | None = None
-    num_envs: int = 0
-    """0: as the hyperparameters say."""
+    num_envs: int | None = None
+    """None: as the hyperparameters say."""
     seed: int = 0
     validation_map: tuple[str, ...] = ()
     """Plans on which checkpoints are scored, so that the best one is kept; none: no scores."""
@@ -68,7 +68,7 @@ class TrainingSettings:
         for names in (self.map_name, self.validation_map):
             if names:
                 load_floor_plans(names)
-        if self.num_envs == 0:
+        if self.num_envs is None:
             object.__setattr__(self, "num_envs", self.hyperparameters["num_envs"])
         for name in ("num_envs", "validation_envs", "step_budget"):
             value = getattr(self, name)
@@ -80,6 +80,7 @@ class TrainingSettings:
     def make_env(self) -> CyclicLoopVecEnv:
         """Return the environment to train on."""
         kind = HeadingsVecEnv if self.task == "headings" else CyclicLoopVecEnv
+        assert self.num_envs is not None  # since `__post_init__`
         scale = self.hyperparameters["reward_scale"]
         return kind(self.num_envs, reward_scale=scale, map_name=list(self.map_name), **self._env_settings())
 

@@ -23,7 +23,7 @@ from stable_baselines3.common.base_class import BaseAlgorithm
 
 import cyclic_env
 from agents.rl.models import ALGORITHMS
-from agents.rl.settings import TrainingSettings, settings_from_stored, training_settings
+from agents.rl.settings import LISTS, TrainingSettings, settings_from_stored, training_settings
 from cyclic_env.atomic_write import atomic_write, check_writable, write_text_atomically
 from cyclic_env.errors import ConfigError
 
@@ -94,6 +94,7 @@ def resumed_settings(out: Path, given: Mapping[str, Any]) -> TrainingSettings:
     for name in given:
         own, wanted = getattr(settings, name), getattr(asked, name)
         if own != wanted:
+            own, wanted = (",".join(value) if name in LISTS else value for value in (own, wanted))
             raise ConfigError(f"{out} was begun with {name} {own!r}, not {wanted!r}; leave it out to resume.")
     return settings
 
