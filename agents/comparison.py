@@ -11,7 +11,6 @@ from typing import Any
 from agents.registry import agent_names, make_agent
 from agents.rl import require_learning
 from cyclic_env import CyclicLoopVectorEnv
-from cyclic_env.config import ActionType
 from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation.rollout import Policy, checked_seeds, evaluate
 from cyclic_env.evaluation.statistics import Evaluation
@@ -27,7 +26,7 @@ class Contestant:
 
     name: str
     policy: Policy
-    action_type: ActionType
+    action_type: str
     map_name: tuple[str, ...]
     """What it was trained on; empty for an agent that was not."""
 
@@ -59,18 +58,23 @@ def load_contestant(name: str, action_type: str | None = None, **settings: Any) 
             raise ConfigError(f"there is no model file {name}.")
         raise ConfigError(unknown_name("agent", name, agent_names()) + " Or give the file of a model.")
     require_learning()
+    from agents.rl.headings.agent import HeadingsAgent
+    from agents.rl.headings.env import CyclicLoopHeadingsVectorEnv
     from agents.rl.storage import check_fits, load_trained
 
     trained = load_trained(path)
     its_type = trained.settings.action_type if trained.settings else None
     if action_type and its_type and action_type != its_type:
         raise ConfigError(f"{name} was trained with action type {its_type!r}, not {action_type!r}.")
+    headings = trained.settings is not None and trained.settings.task == "headings"
     settings["action_type"] = action_type or its_type or "wheels"
-    with closing(CyclicLoopVectorEnv(1, **settings)) as env:
+    with closing((CyclicLoopHeadingsVectorEnv if headings else CyclicLoopVectorEnv)(1, **settings)) as env:
         check_fits(path, trained.model, env.single_observation_space, env.single_action_space)
-        map_name = trained.settings.map_name if trained.settings else ()
-        names = (map_name,) if isinstance(map_name, str) else map_name
-        return Contestant(name=name, policy=trained.model, action_type=env.config.action_type, map_name=names)
+    policy: Policy = trained.model
+    if isinstance(env, CyclicLoopHeadingsVectorEnv):
+        policy = HeadingsAgent(trained.model, env.perception.rules)
+    map_name = trained.settings.map_name if trained.settings else ()
+    return Contestant(name=name, policy=policy, action_type=settings["action_type"], map_name=map_name)
 
 
 def compare(

@@ -14,8 +14,9 @@ from typing import Annotated, Any, TypeVar
 import tyro
 from tyro.conf import arg
 
-from cyclic_env.config import ClosureConfig, CoverageConfig, EnvConfig, LaserConfig, RewardConfig, RobotConfig
+from cyclic_env.config import ClosureConfig, CoverageConfig, LaserConfig, RewardConfig, RobotConfig
 from cyclic_env.errors import ConfigError
+from cyclic_env.floor_plans import separate_names
 
 T = TypeVar("T")
 
@@ -27,15 +28,11 @@ OptionalFolder = Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint
 Flag = Annotated[bool, arg(help_behavior_hint="")]
 """Types of options that may be left out, whose help says what happens then."""
 
-DEFAULTS = EnvConfig()
-
 
 @dataclass(frozen=True, kw_only=True)
 class EnvArguments:
-    """Settings of the environment, those of `cyclic_env.EnvConfig` but for the map and the type of actions."""
+    """Settings of `cyclic_env.EnvConfig`, without those whose defaults differ from command to command."""
 
-    noise: str = DEFAULTS.noise_name
-    """ideal, calibrated, typical or poor"""
     random_start: Flag = False
     """draw the start of an episode (default: the plan's own)"""
     terminate_on_collision: Flag = False
@@ -60,6 +57,12 @@ class EnvArguments:
 
 EnvOptions = Annotated[EnvArguments, arg(name="")]
 """The environment's settings as options without a prefix: ``--noise``, ``--laser.num-beams``."""
+
+
+def noise_presets(text: str) -> Any:
+    """Return the noise preset in a text, or a tuple of several with commas between."""
+    names = tuple(separate_names(text))
+    return names[0] if len(names) == 1 else names
 
 
 def parse(kind: type[T], arguments: Sequence[str] | None, prog: str, description: str) -> T:

@@ -24,7 +24,7 @@ from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation.statistics import Evaluation
 from cyclic_env.floor_plans import separate_names
-from scripts._arguments import EnvArguments, EnvOptions, Flag, OptionalFile, OptionalInt, OptionalText
+from scripts._arguments import EnvArguments, EnvOptions, Flag, OptionalFile, OptionalInt, OptionalText, noise_presets
 from scripts._cli import command, interruptible, progress_bar
 from scripts._tables import format_table, table_notes
 
@@ -50,6 +50,8 @@ class Options:
     """all that know nothing, on all shipped plans"""
     map: OptionalText = None
     """floor plan, or several with commas between (default: the model's, or killian_court)"""
+    noise: str = "ideal"
+    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one"""
     action_type: OptionalText = None
     """wheels, twist or discrete (default: the model's, or wheels)"""
     episodes: OptionalInt = None
@@ -125,7 +127,7 @@ def chosen_evaluations(args: Options, on_step: Callable[[Evaluation], None]) -> 
         every_plan=args.every_plan,
         deterministic=not args.stochastic,
         on_step=on_step,
-        settings=args.env.settings(),
+        settings={"noise": noise_presets(args.noise), **args.env.settings()},
     )
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from cyclic_env import ConfigError, CyclicLoopEnv, Recorder
 from cyclic_env.validation import short_repr
-from scripts._arguments import EnvArguments, EnvOptions, OptionalFile
+from scripts._arguments import EnvArguments, EnvOptions, OptionalFile, noise_presets
 from scripts._cli import command, interruptible
 from scripts._tables import format_rows, score_rows
 from scripts.game.game import Play, Show
@@ -28,6 +28,8 @@ class Options:
 
     map: str = "ring"
     """a shipped plan, a file, or a building such as generated:seed=7"""
+    noise: str = "ideal"
+    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one"""
     seed: int = 0
     """seed of the noise and the random start"""
     show: Show = "robot"
@@ -44,7 +46,7 @@ def main(args: Options) -> None:
     """Run the command."""
     if not 0 < args.speed <= SPEED_MAX:
         raise ConfigError(f"--speed is {short_repr(args.speed)}; expected a number above 0, at most {SPEED_MAX:g}.")
-    env = CyclicLoopEnv(args.map, **args.env.settings())
+    env = CyclicLoopEnv(args.map, noise=noise_presets(args.noise), **args.env.settings())
     interruption = None
     with Recorder(env, args.record) as recorder:
         play = Play(recorder, seed=args.seed, show=args.show)

@@ -27,7 +27,7 @@ from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atom
 from cyclic_env.recording.format import write_recording
 from cyclic_env.trajectory.io import write_g2o, write_tum
 from cyclic_env.trajectory.metrics import ate
-from scripts._arguments import EnvArguments, EnvOptions, Flag, OptionalFile, OptionalFolder, OptionalText
+from scripts._arguments import EnvArguments, EnvOptions, Flag, OptionalFile, OptionalFolder, OptionalText, noise_presets
 from scripts._cli import command, interruptible, progress_bar
 from scripts._tables import format_rows, score_rows
 
@@ -53,6 +53,8 @@ class Options:
     measure: OptionalText = None
     """measure of similarity (default: cosine); it changes little where the position leaves few places to compare,
     so try it with paper or --detector knn"""
+    noise: str = "ideal"
+    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one"""
     seed: int = 0
     """seed of the noise and the random start"""
     out: Path = Path("out/knn")
@@ -80,7 +82,8 @@ def main(args: Options) -> None:
     files = [path for path in (picture, animation, metrics_file, *exports) if path]
     changes = {name: value for name in ("detector", "measure") if (value := getattr(args, name)) is not None}
     explorer = KnnPolicy(preset(args.preset, **changes).fitted(args.env.laser, args.env.robot))
-    env = CyclicLoopEnv(args.map, **args.env.settings(), render_mode="human" if args.human else None)
+    conditions = {"noise": noise_presets(args.noise), **args.env.settings()}
+    env = CyclicLoopEnv(args.map, **conditions, render_mode="human" if args.human else None)
     check_outputs(files)
     run = Run(Recorder(env), GifWriter(env) if animation else None)
     with interruptible() as interruption:
@@ -88,7 +91,7 @@ def main(args: Options) -> None:
     if interruption and not run.steps:
         raise interruption.stopped("there was no step yet, so there is nothing to keep.")
     settings = {"preset": args.preset, "detector": explorer.config.detector, "measure": explorer.config.measure}
-    settings |= {"noise": args.env.noise, "seed": args.seed, "random_start": args.env.random_start}
+    settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.env.random_start}
     metrics = run.metrics() | settings | {"explorer": asdict(explorer.config), "cyclic_env": __version__}
     print(score_table(metrics))
     write_text_atomically(metrics_file, json.dumps(metrics, indent=1) + "\n")

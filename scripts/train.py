@@ -13,28 +13,38 @@ from pathlib import Path
 
 from agents.rl import require_learning
 from cyclic_env.floor_plans import separate_names
-from scripts._arguments import EnvArguments, EnvOptions, Flag, OptionalFolder, OptionalInt, OptionalText
+from scripts._arguments import EnvArguments, EnvOptions, Flag, OptionalFile, OptionalFolder, OptionalInt, OptionalText
 from scripts._cli import command, interruptible, progress_bar
 
-EXAMPLE = (
-    "example: python scripts/train.py --algo ppo --steps 300000 --map ring && python scripts/evaluate.py out/ppo_ring"
-)
+EXAMPLE = """examples:
+  python scripts/train.py --task headings --steps 500000
+  python scripts/train.py --algo ppo --steps 300000 --map ring && python scripts/evaluate.py out/ppo_ring"""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Options:
     """Options of the command."""
 
+    task: OptionalText = None
+    """cyclic_loop or headings (default: cyclic_loop)"""
     algo: OptionalText = None
-    """ppo, a2c, sac or td3 (default: ppo)"""
+    """ppo, maskable_ppo, a2c, sac or td3 (default: ppo; headings: maskable_ppo)"""
     steps: int = 300_000
     """steps of all robots together, rounded up"""
     map: OptionalText = None
-    """floor plan, or several with commas between (default: ring)"""
+    """floor plan, or several with commas between (default: ring; headings: generated:train)"""
+    noise: OptionalText = None
+    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one (default:
+    ideal; headings: all but ideal)"""
     action_type: OptionalText = None
     """wheels, twist or discrete (default: wheels)"""
     num_envs: OptionalInt = None
-    """robots at once (default: 16)"""
+    """robots at once (default: as the hyperparameters say)"""
+    hyperparameters: OptionalFile = None
+    """YAML file (default: the one that is shipped for task and algorithm)"""
+    validation_map: OptionalText = None
+    """plans on which checkpoints are scored and the best one is chosen (default: generated:validation for models
+    trained on generated:train)"""
     seed: OptionalInt = None
     """seed of the weights and of the environment (default: 0)"""
     out: OptionalFolder = None
@@ -49,7 +59,7 @@ class Options:
 @command(Options, EXAMPLE)
 def main(args: Options) -> None:
     """Run the command."""
-    names = ("algo", "action_type", "num_envs", "seed")
+    names = ("task", "algo", "noise", "action_type", "num_envs", "seed", "hyperparameters", "validation_map")
     given = {name: getattr(args, name) for name in names} | {"map_name": args.map}
     given = {name: value for name, value in given.items() if value is not None} | args.env.changed()
     out = args.out or default_out(**given)
@@ -69,6 +79,10 @@ def main(args: Options) -> None:
     print(f"{out / MODEL}: {steps_done(out):,} steps. To score it: python scripts/evaluate.py {out}")
 
 
-def default_out(*, algo: str = "ppo", map_name: str = "ring", **_: object) -> Path:
+def default_out(*, task: str = "cyclic_loop", algo: str = "", map_name: str = "", **_: object) -> Path:
     """Return the folder for a model when none is named."""
-    return Path("out") / f"{algo}_{'_'.join(Path(name).stem for name in separate_names(map_name))}"
+    headings = task == "headings"
+    algo = algo or ("maskable_ppo" if headings else "ppo")
+    map_name = map_name or ("generated:train" if headings else "ring")
+    maps = "_".join(Path(name).stem for name in separate_names(map_name))
+    return Path("out") / f"{'headings_' if headings else ''}{algo}_{maps}"

@@ -108,13 +108,13 @@ class Options:
 
 
 def test_settings_of_the_environment_are_options() -> None:
-    given = "--count 3 --noise typical --laser.num-beams 360 --robot.radius 0.3 --reward.time -20 --random-start"
+    given = "--count 3 --laser.num-beams 360 --robot.radius 0.3 --reward.time -20 --random-start"
     args = parse(Options, given.split(), "some.py", "")
     assert args.count == 3
     config = EnvConfig(**args.env.settings())
-    assert (config.noise, config.random_start, config.laser.num_beams) == ("typical", True, 360)
+    assert (config.random_start, config.laser.num_beams) == (True, 360)
     assert (config.robot.radius, config.reward.time) == (0.3, -20.0)
-    assert set(args.env.changed()) == {"noise", "random_start", "laser", "robot", "reward"}
+    assert set(args.env.changed()) == {"random_start", "laser", "robot", "reward"}
 
 
 @pytest.mark.parametrize(
