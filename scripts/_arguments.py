@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import io
-import itertools
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
@@ -87,14 +86,15 @@ def parse(kind: type[T], arguments: Sequence[str] | None, prog: str, description
 
 def one_line(box: str) -> str:
     """Return the message in a box of tyro's as one line, with the option that was perhaps meant."""
-    rows = [line.strip("│ ") for line in box.splitlines() if line.startswith("│")]
-    message = " ".join(itertools.takewhile(lambda row: row and not row.startswith("─"), rows)).rstrip(".")
+    plain = re.sub(r"\x1b\[[0-9;]*m|[│╰╯]", "", box)  # without colors and frame
+    _, first, *_ = re.split(r"^.*?(?:─{4,}|-{4,}).*$", plain, flags=re.MULTILINE)  # the title is in the frame, or first
+    message = " ".join(re.split(r"\n\s*\n", first.strip())[0].split()).rstrip(".")
     message = re.sub(r"^Error parsing \S+: (?=\w+Config\.)", "", message)
     message = re.sub(
         r"^Error parsing (\S+): no type matching (?:\{None\}\|)?\{?([^{}]+?)\}? could be instantiated from \[(.*)\]",
         r"\1 is \3; expected \2",
         message,
     )
-    meant = re.search(r"Perhaps you meant:\s*(--[\w.-]+)", " ".join(rows))
+    meant = re.search(r"Perhaps you meant:\s*(--[\w.-]+)", plain)
     hint = f" Did you mean {meant[1]}?" if meant else ""
     return f"{message}.{hint} --help lists all options."
