@@ -122,15 +122,15 @@ def command_substep(bodies, drive, commands, first, dynamics):
         Whether a control step begins, so that travel and contact start anew.
     dynamics : Dynamics
     """
-    forces, dt = bodies.forces, dynamics.dt
+    states, forces, dt = bodies.states, bodies.forces, dynamics.dt
     for i in range(bodies.rows.shape[0]):
-        row, state = bodies.rows[i], bodies.states[i]
+        row = bodies.rows[i]
         robot = drive[row]
-        angle, omega = state[2], state[5]
+        angle, omega = states[i, 2], states[i, 5]
         if first:
             robot.travel, robot.contact = 0.0, False
         else:
-            observe_body(state, robot)
+            observe_body(states[i], robot)
         robot.left += dynamics.lag * (commands[row, 0] - robot.left)
         robot.right += dynamics.lag * (commands[row, 1] - robot.right)
         target_omega = (robot.right - robot.left) / dynamics.axle_track
@@ -140,8 +140,8 @@ def command_substep(bodies, drive, commands, first, dynamics):
         ahead = angle + omega * dt + 0.5 * target_omega * dt
         robot.ahead_x, robot.ahead_y = math.cos(ahead), math.sin(ahead)
         robot.target_vx, robot.target_vy = speed * robot.ahead_x, speed * robot.ahead_y
-        forces[i, 0] = dynamics.mass * (robot.target_vx - state[3]) / dt
-        forces[i, 1] = dynamics.mass * (robot.target_vy - state[4]) / dt
+        forces[i, 0] = dynamics.mass * (robot.target_vx - states[i, 3]) / dt
+        forces[i, 1] = dynamics.mass * (robot.target_vy - states[i, 4]) / dt
         forces[i, 2] = dynamics.inertia * (target_omega - omega) / dt
 
 

@@ -266,7 +266,7 @@ def begin_path(robot, building, x, y):
     _record_visit(robot, building, x, y)
 
 
-@compiled
+@inlined
 def extend_path(robot, building, gap, x, y, path_length):
     """Add a step to (x, y) to the robot's path, which is then `path_length` long."""
     status, track = robot.status, robot.track
