@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import gymnasium
@@ -41,6 +42,11 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
         ``SAME_STEP`` (default) or ``DISABLED``, as for `CyclicLoopVectorEnv`.
     map_name and all others
         As for `CyclicLoopVectorEnv`, but for the action type.
+
+    Attributes
+    ----------
+    seconds : dict of float
+        How long steps have taken since the env was made, by stage: ``"env"``, ``"steering"`` and ``"features"``.
     """
 
     def __init__(
@@ -66,6 +72,7 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self.seconds = {"env": 0.0, "steering": 0.0, "features": 0.0}
         self._ended = np.zeros(num_envs, np.bool_)
         self._commands = np.zeros((num_envs, 4), np.float32)
 
@@ -126,8 +133,12 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
         infos: dict[str, Any] = {}
         for _ in range(HOLD):
             rows = np.flatnonzero(active)
+            begin = time.perf_counter()
             self.perception.steer(rows, self._commands)
+            steered = time.perf_counter()
             observation, reward, terminates, truncates, infos = self.env.step(self._commands, active=active)
+            self.seconds["steering"] += steered - begin
+            self.seconds["env"] += time.perf_counter() - steered
             self._commands[:, 2] = -1.0
             self.perception.sense(observation, rows)
             rewards[rows] += reward[rows]
@@ -141,7 +152,9 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
                 break
         infos["reward_terms"] |= terms
         infos["steps"], infos["_steps"] = steps, np.ones(self.num_envs, np.bool_)
+        begin = time.perf_counter()
         self.perception.observe(decided)
+        self.seconds["features"] += time.perf_counter() - begin
         self._ended[decided] = (terminated | truncated)[decided]
         if self._ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             infos = self._reset_ended(infos)
