@@ -1,4 +1,4 @@
-"""The compiled truth about loop closures equals its plain twin, on random walks and tours."""
+"""The compiled truth about loop closures equals its plain twin on random walks."""
 
 from __future__ import annotations
 
@@ -13,16 +13,7 @@ from hypothesis import strategies as st
 
 from cyclic_env.config import ClosureConfig
 from cyclic_env.floor_plans import FloorPlan
-from tests.task.closure_runs import (
-    EIGHT,
-    HALL,
-    PILLAR,
-    RING,
-    THIN_WALL,
-    TWIN_FIELDS,
-    compiled_run,
-    way,
-)
+from tests.task.buildings import EIGHT, HALL, PILLAR, RING, THIN_WALL, TWIN_FIELDS, compiled_run, way
 from tests.task.closure_twin import Claim, ClosureTwin, Position, Truth, line_of_sight
 
 SMALL = ClosureConfig(

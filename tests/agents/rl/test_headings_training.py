@@ -10,6 +10,7 @@ import pytest
 import torch
 from sb3_contrib import MaskablePPO
 
+from agents.comparison import compare
 from agents.rl.headings.memory import CANDIDATES, HEADINGS
 from agents.rl.headings.vec_env import HeadingsVecEnv
 from agents.rl.models import FOLDER, hyperparameter_file, new_model, read_hyperparameters
@@ -107,6 +108,10 @@ def test_the_folder_of_a_run_stands_for_the_model_that_scored_best(tmp_path: Pat
     assert (tmp_path / BEST).stat().st_size < 500_000
     assert trained.settings == settings
     assert isinstance(trained.model, MaskablePPO)
+    (evaluation,) = compare([str(tmp_path)], seeds=[3], step_budget=60, noise="typical")
+    assert evaluation.action_type == "twist"
+    assert evaluation.map == "ring"
+    assert evaluation.episodes[0]["steps"] == 60
     first, second = (first_episodes(trained.model, settings.make_validation_env(), 3) for _ in range(2))
     assert first == second
     assert [record["steps"] > 0 for record in first] == [True, True]

@@ -1,4 +1,4 @@
-"""What the environments say of real drives: the truth of the plain twin, paid for by the reward."""
+"""Real drives on the shipped plans: the truth, the rewards, and the scores that the environment gives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names
 from cyclic_env.task.judgement import judge_trajectory
 from cyclic_env.task.loop_closure import NEAREST
-from tests.task.closure_runs import TWIN_FIELDS
+from tests.task.buildings import TWIN_FIELDS
 from tests.task.closure_twin import Claim, ClosureTwin, Position, line_of_sight, rank
 
 FAST_STEPS = RobotConfig(dt=0.4, substeps=10)
@@ -172,55 +172,46 @@ DRIVES = [
     ),
     *((name, "tour", "discrete", True) for name in map_names()),
 ]
-every_drive = pytest.mark.parametrize(("name", "driver", "action_type", "always_claim"), DRIVES)
 
 
-@every_drive
-def test_truth_of_a_real_drive_equals_the_twin(name: str, driver: str, action_type: str, always_claim: bool):
-    done = drive(name, driver, action_type, always_claim)
+@pytest.fixture(params=DRIVES, ids=lambda settings: "-".join(map(str, settings)))
+def settings(request: pytest.FixtureRequest) -> Any:
+    """The settings of every drive in turn."""
+    return request.param
+
+
+def test_truth_of_a_real_drive_equals_the_twin(settings: Any):
+    done, missed = drive(*settings), 0
     twin = ClosureTwin(done.plan, done.positions)
-    missed = 0
     for t, (truth, info) in enumerate(zip(twin.truths(done.claims), done.infos, strict=True), 1):
-        for key in TWIN_FIELDS:
-            if key not in ("missed", "fresh"):
-                assert info[key] == getattr(truth, key), f"{key} differs first at step {t}"
+        for key in TWIN_FIELDS.keys() - {"missed", "fresh"}:
+            assert info[key] == getattr(truth, key), f"{key} differs first at step {t}"
         assert info["claim_error_m"] == pytest.approx(truth.claim_error_m, rel=0, abs=1e-9)
         missed += truth.missed
         assert info["revisits"] - info["revisits_recognised"] == missed
 
 
-@every_drive
-def test_reward_terms_pay_for_what_happened(name: str, driver: str, action_type: str, always_claim: bool):
-    done = drive(name, driver, action_type, always_claim)
+def test_reward_pays_for_what_happened(settings: Any):
+    done = drive(*settings)
     before = dict.fromkeys(done.infos[0], 0)
-    for info in done.infos:
+    for info, reward in zip(done.infos, done.rewards, strict=True):
         new = {key: info[key] - before[key] for key in ("revisits", "revisits_recognised", "false_claims")}
         closed = info["cycles_closed"] - before["cycles_closed"]
         terms = info["reward_terms"]
         assert terms["missed_revisit"] == -1.0 * (new["revisits"] - new["revisits_recognised"])
         assert terms["false_claim"] == -5.0 * new["false_claims"]
         assert terms["new_cycle"] == pytest.approx(50.0 * closed / max(info["cycles_total"], 1))
+        assert reward == pytest.approx(sum(terms.values()), abs=1e-12)
         before = info
 
 
-@every_drive
-def test_reward_is_the_sum_of_its_terms(name: str, driver: str, action_type: str, always_claim: bool):
-    done = drive(name, driver, action_type, always_claim)
-    assert done.rewards == pytest.approx([sum(info["reward_terms"].values()) for info in done.infos], abs=1e-12)
-
-
-@every_drive
-def test_precision_and_recall_follow_from_the_counts(name: str, driver: str, action_type: str, always_claim: bool):
-    for info in drive(name, driver, action_type, always_claim).infos:
+def test_scores_follow_from_the_counts_and_the_steps(settings: Any):
+    done = drive(*settings)
+    for info in done.infos:
         recognised, settled = info["revisits_recognised"], info["revisits"]
         judged = recognised + info["false_claims"]
         assert info["precision"] == (recognised / judged if judged else 1.0)
         assert info["recall"] == (recognised / settled if settled else 1.0)
-
-
-@every_drive
-def test_path_length_is_the_sum_of_the_steps(name: str, driver: str, action_type: str, always_claim: bool):
-    done = drive(name, driver, action_type, always_claim)
     assert done.infos[-1]["path_length_m"] == pytest.approx(sum(math.dist(a, b) for a, b in pairwise(done.positions)))
 
 
@@ -231,11 +222,9 @@ def test_open_event_settles_when_the_budget_is_spent():
     assert (last["revisit"], last["revisits"] - before["revisits"]) == (True, 1)
 
 
-@every_drive
-def test_claiming_rightly_at_every_chance_recognises_every_event(
-    name: str, driver: str, action_type: str, always_claim: bool
-):
-    done = drive(name, driver, action_type, always_claim)
+def test_claiming_rightly_at_every_chance_recognises_every_event(settings: Any):
+    done = drive(*settings)
+    _, driver, _, always_claim = settings
     revisits = np.flatnonzero(judge_trajectory(done.plan, done.positions).revisit)
     judged = judge_trajectory(done.plan, done.positions, np.column_stack([revisits, np.full(len(revisits), NEAREST)]))
     assert (judged.recall, judged.precision, judged.false_claims) == (1.0, 1.0, 0)

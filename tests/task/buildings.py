@@ -1,4 +1,4 @@
-"""Plans drawn by hand, ways along them, and the compiled truth of these."""
+"""Buildings drawn by hand, ways through them, and what the compiled truth about loop closures says of them."""
 
 from __future__ import annotations
 
@@ -13,15 +13,7 @@ from shapely.geometry import Polygon, box
 
 from cyclic_env.config import ClosureConfig
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.task.loop_closure import (
-    NEAREST,
-    NO_CLAIM,
-    advance,
-    begin,
-    closure_rules,
-    judge_claim,
-    settle_event,
-)
+from cyclic_env.task.loop_closure import NEAREST, NO_CLAIM, advance, begin, closure_rules, judge_claim, settle_event
 from cyclic_env.task.path_history import STATUS, allocate_memory, building_view, robot_view
 from tests.task.closure_twin import Claim, Position
 
@@ -46,6 +38,12 @@ EIGHT = FloorPlan("eight", with_holes((0, 0, 44, 24), (4, 4, 20, 20), (24, 4, 40
 """Two such rings, with the corridor between them in common."""
 PILLAR = FloorPlan("pillar", with_holes((0, 0, 80, 40), (17, 17, 23, 23), (50, 10, 70, 30)), (10.0, 10.0, 0.0))
 """A hall with a pillar, whose ring of 24 m is too short for a cycle, and a block that is one."""
+
+TWIN_FIELDS = {
+    name: name
+    for name in ("revisit", "fresh", "claim_judged", "claim_correct", "claims", "false_claims", "revisits", "new_cycle")
+} | {"cycles_closed": "cycles_closed", "revisits_recognised": "recognised", "missed": "missed_now"}
+"""The compiled code's name for each field of the twin's truth."""
 
 STEP = 0.25
 """Metres between two steps of the ways below: a power of two, so that sums and distances along the axes are exact."""
@@ -105,19 +103,3 @@ def way(*corners: Position, step: float = STEP) -> list[Position]:
         n = max(1, math.ceil(math.hypot(bx - ax, by - ay) / step))
         positions += [(ax + (bx - ax) * i / n, ay + (by - ay) * i / n) for i in range(1, n + 1)]
     return positions
-
-
-TWIN_FIELDS = {
-    "revisit": "revisit",
-    "fresh": "fresh",
-    "claim_judged": "claim_judged",
-    "claim_correct": "claim_correct",
-    "claims": "claims",
-    "false_claims": "false_claims",
-    "revisits": "revisits",
-    "revisits_recognised": "recognised",
-    "missed": "missed_now",
-    "new_cycle": "new_cycle",
-    "cycles_closed": "cycles_closed",
-}
-"""What the twin says, by what the compiled code calls it."""
