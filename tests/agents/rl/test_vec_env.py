@@ -166,9 +166,10 @@ def test_single_envs_run_in_processes_of_stable_baselines() -> None:
         env.seed(0)
         env.reset()
     for actions in wandering(2, 6):
-        (theirs, *numbers, infos), (ours, *our_numbers, our_infos) = [env.step(actions) for env in envs]
+        results: list[Any] = [env.step(actions) for env in envs]
+        (theirs, *numbers, infos), (ours, *our_numbers, our_infos) = results
         assert all((theirs[key] == ours[key]).all() for key in theirs)
-        np.testing.assert_array_equal(np.float32(numbers), np.float32(our_numbers))
+        np.testing.assert_array_equal(np.array(numbers, np.float32), np.array(our_numbers, np.float32))
         truncated, ours_too = ([info.get("TimeLimit.truncated", False) for info in each] for each in (infos, our_infos))
         assert truncated == ours_too
     envs[0].close()
