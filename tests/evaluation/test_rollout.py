@@ -183,5 +183,5 @@ def test_evaluation_needs_no_learning_library() -> None:
 
 
 def test_a_policy_that_acts_by_other_actions_than_the_environment_is_refused() -> None:
-    with pytest.raises(ConfigError, match="acts by 'twist', the environment by 'wheels'"):
+    with pytest.raises(ConfigError, match="'twist', but the environment has 'wheels'"):
         evaluate(make_agent("circling", action_type="twist"), map_name="ring", seeds=[0])
