@@ -142,7 +142,7 @@ def test_what_is_no_vector_env_of_ours_is_refused() -> None:
     cart_pole = gymnasium.vector.SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")], autoreset_mode=mode)
     wrong_mode = CyclicLoopVectorEnv(1, "ring")
     for env in (None, CyclicLoopEnv("ring"), cart_pole, wrong_mode):
-        with pytest.raises(ConfigError, match=r"expected (a vector env with|one of CyclicLoop)"):
+        with pytest.raises(ConfigError, match=r"expected a vector env"):
             next(rollout(make_agent("random"), env, [0]))  # pyright: ignore[reportArgumentType]
     cart_pole.close()
     wrong_mode.close()
