@@ -26,7 +26,7 @@ SPACING = 0.1
 TURN = math.radians(12)
 """Greatest turn between two scans, radians."""
 ROUNDING, WANDERING, ASIDE = 0.5, 4.0, 0.25
-"""Metres: lengths over which corners are rounded and the offset from a corridor's middle varies, and this offset's rms."""
+"""Metres: how smoothly corners and the offset from a corridor's middle are drawn, and the rms of this offset."""
 CLEARANCE = 0.3
 """Least distance to the nearest wall, metres."""
 SPEED = 0.5
