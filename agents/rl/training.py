@@ -113,11 +113,7 @@ def train(
             (out / BEST).unlink(missing_ok=True)
         begin_anew(model, settings.seed)
         callback = _Bookkeeper(settings, out, steps, progress)
-        callbacks: list[BaseCallback] = [callback, Curves()]
-        if settings.validation_map:
-            keep = partial(save_best, settings=settings, out=out)
-            callbacks.append(Validation(settings.make_validation_env, save_every, out / VALIDATION, keep))
-        callbacks.append(Checkpoints(save_every, settings.seed, partial(save, settings=settings, out=out)))
+        callbacks = [callback, Curves(), *_checkpoints(settings, out, save_every)]
         try:
             model.learn(steps - model.num_timesteps, callback=callbacks, reset_num_timesteps=False)
         except Exception as error:  # SB3 and torch can raise anything
@@ -130,6 +126,15 @@ def train(
             model.logger.close()
         save(model, settings, out)
     return model
+
+
+def _checkpoints(settings: TrainingSettings, out: Path, every: int) -> list[BaseCallback]:
+    """Return what scores, if there are plans for that, and saves the model at each checkpoint."""
+    saves = Checkpoints(every, settings.seed, partial(save, settings=settings, out=out))
+    if not settings.validation_map:
+        return [saves]
+    keep = partial(save_best, settings=settings, out=out)
+    return [Validation(settings.make_validation_env, every, out / VALIDATION, keep), saves]
 
 
 def _training_error(error: Exception, model: BaseAlgorithm, settings: TrainingSettings, out: Path) -> TrainingError:
