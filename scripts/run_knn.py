@@ -224,6 +224,7 @@ class Run:
             "reward_terms": self.terms,
             "ending": self.ending,
             "stopped_at": self.stopped_at,
+            "stop_reason": self.memory.stop_reason,
             "path_over_tour": None if math.isnan(tour) else self.info["path_length_m"] / tour,
             "groups": len(self.memory.groups),
             "rows": self.memory.keyframes.count,
@@ -295,7 +296,7 @@ def score_table(metrics: dict[str, Any]) -> str:
         if (seconds := metrics[f"seconds_per_step_{name}"]) is not None
     ]
     since = metrics["stopped_at"]
-    stopped = "" if since is None else f"; nothing left to explore from step {since:,} on"
+    stopped = "" if since is None else f"; nothing left to explore from step {since:,} on ({metrics['stop_reason']})"
     rows = {
         "run": f"{metrics['map']}, {metrics['noise']} sensors, seed {metrics['seed']}, {metrics['preset']}, "
         f"{metrics['detector']}, {metrics['measure']}",
