@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # agents are not installed, but run from the checkout
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(
-        signal.SIGINT, lambda *_: (print("\ncalibrate_thresholds.py: nothing done yet", file=sys.stderr), os._exit(130))
-    )
+    run_script(__file__)
 
 import argparse
+import itertools
 import json
 import multiprocessing
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,12 +27,13 @@ from agents.slam.keyframes import Keyframes
 from cyclic_env import CyclicLoopEnv
 from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.config import ClosureConfig
-from cyclic_env.errors import ConfigError, CyclicLoopError
+from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans.generator.spec import SPLITS
 from cyclic_env.task.judgement import true_returns
 from cyclic_env.task.loop_closure import ELSEWHERE, RETURNS
+from scripts._cli import command, progress_bar
 
-PLANS = 20
+PLANS, PROCESSES_MAX = 20, 64
 NOISES = ("ideal", "calibrated")
 DETECTORS = {"both": CombinedDetector, "knn": AppearanceDetector}
 DIGITS = 9
@@ -71,6 +68,11 @@ def training_run(index: int, noise: str) -> TrainingRun:
     return TrainingRun(columns, truth)
 
 
+def revisits(run: TrainingRun) -> int:
+    """Return how many keyframes of a run return to an earlier one."""
+    return int((run.truth == RETURNS).any(axis=1).sum())
+
+
 def answers(run: TrainingRun, detector: AppearanceDetector) -> tuple[np.ndarray, np.ndarray]:
     """Return the similarity of the vote's answer at each keyframe that has one, and the truth about it."""
     keyframes = Keyframes(1, run.columns["features"].shape[2])
@@ -84,14 +86,14 @@ def answers(run: TrainingRun, detector: AppearanceDetector) -> tuple[np.ndarray,
     return np.array(similarities), np.array(outcomes, np.int64)
 
 
-def best_threshold(similarity: np.ndarray, outcome: np.ndarray, revisits: int) -> dict[str, float]:
+def best_threshold(similarity: np.ndarray, outcome: np.ndarray, total: int) -> dict[str, float]:
     """Return the threshold of the best F1 score, and the scores there.
 
     Parameters
     ----------
     similarity, outcome : (q,)
         Of all answers. Those that a claim would be ignored for count neither way.
-    revisits : int
+    total : int
         Keyframes that return anywhere, of which the recall is.
     """
     certain = outcome >= ELSEWHERE
@@ -99,7 +101,7 @@ def best_threshold(similarity: np.ndarray, outcome: np.ndarray, revisits: int) -
     similarity, right = similarity[certain][order], outcome[certain][order] == RETURNS
     last = np.flatnonzero(np.append(np.diff(similarity) < 0, True))
     taken = similarity[last]
-    precision, recall = np.cumsum(right)[last] / (last + 1), np.cumsum(right)[last] / revisits
+    precision, recall = np.cumsum(right)[last] / (last + 1), np.cumsum(right)[last] / total
     f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-12)
     best, surest = int(np.argmax(f1)), int(np.argmax(precision))
     # Between the last answer that is taken and the first that is not: "above the threshold" is the rule.
@@ -111,59 +113,56 @@ def best_threshold(similarity: np.ndarray, outcome: np.ndarray, revisits: int) -
 
 def calibrate(runs: Sequence[TrainingRun]) -> dict[str, dict[str, dict[str, float]]]:
     """Return for each detector and measure the threshold of the best F1 score over all runs, and its scores."""
-    revisits = sum(int((run.truth == RETURNS).any(axis=1).sum()) for run in runs)
+    total = sum(revisits(run) for run in runs)
     result: dict[str, dict[str, dict[str, float]]] = {}
     for detector, kind in DETECTORS.items():
         for measure in MEASURES:
             config = preset("paper", detector=detector, measure=measure, threshold=-1.0)
             pairs = [answers(run, kind(config)) for run in runs]
             similarity, outcome = (np.concatenate(columns) for columns in zip(*pairs, strict=True))
-            result.setdefault(detector, {})[measure] = best_threshold(similarity, outcome, revisits)
+            result.setdefault(detector, {})[measure] = best_threshold(similarity, outcome, total)
     return result
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plans", type=int, default=PLANS, help=f"how many of the train split (default {PLANS})")
     parser.add_argument("--out", type=Path, default=THRESHOLDS, help="file to write (default the explorer's own)")
     parser.add_argument("--processes", type=int, default=2, help="at once (default 2)")
     args = parser.parse_args(arguments)
-    try:
-        most = SPLITS["train"].plans
-        if not 1 <= args.plans <= most:
-            raise ConfigError(f"--plans is {args.plans}; expected 1 to {most}, the plans of the train split.")
-        if not 1 <= args.processes <= 64:
-            raise ConfigError(f"--processes is {args.processes}; expected 1 to 64.")
-        check_writable(args.out)
-        jobs = [(index, noise) for index in range(args.plans) for noise in NOISES]
-        if args.processes == 1:
-            runs = [training_run(*job) for job in jobs]
-        else:
-            with ProcessPoolExecutor(args.processes, mp_context=multiprocessing.get_context("spawn")) as pool:
-                runs = list(pool.map(training_run, *zip(*jobs, strict=True)))
-        result: dict[str, Any] = {
-            "command": f"python scripts/calibrate_thresholds.py --plans {args.plans}",
-            "plans": f"generated:train, index 0 to {args.plans - 1}; noise {' and '.join(NOISES)}; preset extended",
-            "rule": "best F1 of the vote of 4 among earlier tables of the same direction, over all keyframes",
-            "rows": sum(len(run.truth) for run in runs),
-            "revisits": sum(int((run.truth == RETURNS).any(axis=1).sum()) for run in runs),
-            "detectors": calibrate(runs),
-        }
-        write_text_atomically(args.out, json.dumps(result, indent=1) + "\n")
-    except (CyclicLoopError, OSError) as error:
-        print(f"calibrate_thresholds.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\ncalibrate_thresholds.py: stopped; nothing was written.", file=sys.stderr)
-        return 130
+    most = SPLITS["train"].plans
+    if not 1 <= args.plans <= most:
+        raise ConfigError(f"--plans is {args.plans}; expected 1 to {most}, the plans of the train split.")
+    if not 1 <= args.processes <= PROCESSES_MAX:
+        raise ConfigError(f"--processes is {args.processes}; expected 1 to {PROCESSES_MAX}.")
+    check_writable(args.out)
+    jobs = [(index, noise) for index in range(args.plans) for noise in NOISES]
+    with progress_bar(unit="run", total=len(jobs)) as progress:
+        runs = []
+        for run in each_run(jobs, args.processes):
+            runs.append(run)
+            progress.update()
+    result: dict[str, Any] = {
+        "command": f"python scripts/calibrate_thresholds.py --plans {args.plans}",
+        "plans": f"generated:train, index 0 to {args.plans - 1}; noise {' and '.join(NOISES)}; preset extended",
+        "rule": "best F1 of the vote of 4 among earlier tables of the same direction, over all keyframes",
+        "rows": sum(len(run.truth) for run in runs),
+        "revisits": sum(revisits(run) for run in runs),
+        "detectors": calibrate(runs),
+    }
+    write_text_atomically(args.out, json.dumps(result, indent=1) + "\n")
     for detector, measures in result["detectors"].items():
         for name, entry in measures.items():
             print(f"{detector:>5} {name:>12}  " + "  ".join(f"{key} {value:.4f}" for key, value in entry.items()))
     print(f"\nwritten: {args.out}")
-    return 0
 
 
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.exit(main())
+def each_run(jobs: Sequence[tuple[int, str]], processes: int) -> Iterator[TrainingRun]:
+    """Yield the training runs in the order of the jobs."""
+    if processes == 1:
+        yield from itertools.starmap(training_run, jobs)
+        return
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(training_run, *zip(*jobs, strict=True))

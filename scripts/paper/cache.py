@@ -6,8 +6,6 @@ import hashlib
 import json
 import multiprocessing
 import os
-import signal
-import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -22,6 +20,7 @@ import numpy as np
 from cyclic_env import __version__
 from cyclic_env.atomic_write import atomic_write, write_text_atomically
 from cyclic_env.errors import ConfigError, CyclicLoopError
+from scripts._cli import uninterrupted
 from scripts.paper.runs import ARRAYS, RunRecord, RunSettings, run_explorer
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -153,13 +152,9 @@ def run_all(cache: Cache, runs: Sequence[RunSettings], processes: int) -> Iterat
             yield done, len(unique)
         return
     pool = ProcessPoolExecutor(min(processes, len(left)), mp_context=multiprocessing.get_context("spawn"))
-    terminated = signal.signal(signal.SIGTERM, lambda number, _: sys.exit(128 + number))  # by way of `finally`
     try:
-        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # inherited: on Ctrl-C this process ends the others
-        try:
+        with uninterrupted():  # on Ctrl-C this process ends the others
             waiting = {pool.submit(_run, cache.folder, settings) for settings in left}
-        finally:
-            signal.signal(signal.SIGINT, handler)
         while waiting:
             ended, waiting = wait(waiting, return_when=FIRST_COMPLETED)
             for future in ended:
@@ -170,12 +165,10 @@ def run_all(cache: Cache, runs: Sequence[RunSettings], processes: int) -> Iterat
     except BrokenProcessPool as error:
         raise CyclicLoopError("a process was ended from outside; run it again, with --processes 1 perhaps.") from error
     finally:
-        handler = signal.signal(signal.SIGINT, signal.SIG_IGN)  # a second Ctrl-C must not stop this half-way
-        pool.shutdown(wait=False, cancel_futures=True)
-        for child in multiprocessing.active_children():  # at once, if interrupted; else there are none
-            child.terminate()
-            child.join()
-            for part in cache.folder.glob(f".*.{child.pid}.part.*"):
-                part.unlink(missing_ok=True)
-        signal.signal(signal.SIGTERM, terminated)
-        signal.signal(signal.SIGINT, handler)
+        with uninterrupted():
+            pool.shutdown(wait=False, cancel_futures=True)
+            for child in multiprocessing.active_children():  # at once, if interrupted; else there are none
+                child.terminate()
+                child.join()
+                for part in cache.folder.glob(f".*.{child.pid}.part.*"):
+                    part.unlink(missing_ok=True)

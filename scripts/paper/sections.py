@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.knn.similarity import MEASURES
 from cyclic_env import map_names
-from cyclic_env.evaluation.rollout import mean_interval
+from cyclic_env.evaluation.statistics import mean_interval
 from cyclic_env.task.loop_closure import RETURNS
 from scripts.paper.cache import Cache
 from scripts.paper.recognition import (
