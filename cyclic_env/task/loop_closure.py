@@ -47,6 +47,7 @@ RULES_VERSION = 2
 
 1. Every revisit step could begin or extend a revisit event, and only a correct claim within an event recognised it.
 2. Ground counts once: events are runs of fresh steps, and a correct claim just before an event recognises it, too.
+   A cycle is a hole with a lap of at least 40 m (`cyclic_env.floor_plans.cycles`); it was one with a ring of 40 m.
 """
 
 NO_CLAIM, NEAREST = -2, -1
