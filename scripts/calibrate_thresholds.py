@@ -26,7 +26,7 @@ from agents.knn.similarity import MEASURES
 from agents.slam.keyframes import Keyframes
 from cyclic_env import CyclicLoopEnv
 from cyclic_env.atomic_write import check_writable, write_text_atomically
-from cyclic_env.config import ClosureConfig
+from cyclic_env.config import ClosureConfig, RewardConfig
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans.generator.spec import SPLITS
 from cyclic_env.task.judgement import true_returns
@@ -36,6 +36,7 @@ from scripts._cli import command, progress_bar
 PLANS, PROCESSES_MAX = 20, 64
 NOISES = ("ideal", "calibrated")
 DETECTORS = {"both": CombinedDetector, "knn": AppearanceDetector}
+REWARD = RewardConfig()
 DIGITS = 9
 """Decimals kept: the rounding of a cosine is far below, the steps between places far above."""
 
@@ -87,7 +88,10 @@ def answers(run: TrainingRun, detector: AppearanceDetector) -> tuple[np.ndarray,
 
 
 def best_threshold(similarity: np.ndarray, outcome: np.ndarray, total: int) -> dict[str, float]:
-    """Return the threshold of the best F1 score, and the scores there.
+    """Return the threshold that is worth most by the environment's reward, and the scores there.
+
+    A right answer is worth a missed revisit, a wrong one costs a false claim. Where no threshold is worth anything, it
+    is the one of the best F1 score.
 
     Parameters
     ----------
@@ -103,7 +107,9 @@ def best_threshold(similarity: np.ndarray, outcome: np.ndarray, total: int) -> d
     taken = similarity[last]
     precision, recall = np.cumsum(right)[last] / (last + 1), np.cumsum(right)[last] / total
     f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-12)
-    best, surest = int(np.argmax(f1)), int(np.argmax(precision))
+    rights = np.cumsum(right)[last]
+    worth = -REWARD.missed_revisit * rights + REWARD.false_claim * (last + 1 - rights)
+    best, surest = int(np.argmax(worth if worth.max(initial=0.0) > 0 else f1)), int(np.argmax(precision))
     # Between the last answer that is taken and the first that is not: "above the threshold" is the rule.
     beyond = taken[best + 1] if best + 1 < len(taken) else taken[best] - 10.0**-DIGITS
     entry = {"threshold": (taken[best] + beyond) / 2, "f1": f1[best], "precision": precision[best]}
@@ -112,7 +118,7 @@ def best_threshold(similarity: np.ndarray, outcome: np.ndarray, total: int) -> d
 
 
 def calibrate(runs: Sequence[TrainingRun]) -> dict[str, dict[str, dict[str, float]]]:
-    """Return for each detector and measure the threshold of the best F1 score over all runs, and its scores."""
+    """Return for each detector and measure the best threshold over all runs, and its scores."""
     total = sum(revisits(run) for run in runs)
     result: dict[str, dict[str, dict[str, float]]] = {}
     for detector, kind in DETECTORS.items():
@@ -147,7 +153,7 @@ def main(arguments: Sequence[str] | None) -> None:
     result: dict[str, Any] = {
         "command": f"python scripts/calibrate_thresholds.py --plans {args.plans}",
         "plans": f"generated:train, index 0 to {args.plans - 1}; noise {' and '.join(NOISES)}; preset extended",
-        "rule": "best F1 of the vote of 4 among earlier tables of the same direction, over all keyframes",
+        "rule": "vote of 4 among earlier tables of the same direction; most worth by the reward, else best F1",
         "rows": sum(len(run.truth) for run in runs),
         "revisits": sum(revisits(run) for run in runs),
         "detectors": calibrate(runs),

@@ -26,13 +26,20 @@ def test_every_measure_has_a_calibrated_threshold_which_is_the_default(detector:
     assert PRESETS["paper"].threshold is None
 
 
-def test_the_threshold_is_that_of_the_best_f1() -> None:
+def test_the_threshold_is_worth_most_by_the_reward() -> None:
     similarity = np.array([0.9, 0.8, 0.7, 0.6, 0.5, 0.95])
     outcome = np.array([RETURNS, RETURNS, ELSEWHERE, RETURNS, ELSEWHERE, TOO_SOON])
-    best = calibration.best_threshold(similarity, outcome, 3)
-    assert best["threshold"] == pytest.approx(0.55)
-    assert (best["precision"], best["recall"]) == (0.75, 1.0)
+    best = calibration.best_threshold(similarity, outcome, 3)  # 2 right; a third one would cost a false claim
+    assert best["threshold"] == pytest.approx(0.75)
+    assert (best["precision"], best["recall"]) == pytest.approx((1.0, 2 / 3))
     assert (best["highest_precision"], best["recall_there"]) == pytest.approx((1.0, 1 / 3))
+
+
+def test_where_nothing_is_worth_it_the_threshold_is_that_of_the_best_f1() -> None:
+    outcome = np.array([ELSEWHERE, RETURNS, ELSEWHERE, RETURNS, ELSEWHERE])
+    best = calibration.best_threshold(np.array([0.9, 0.8, 0.7, 0.6, 0.5]), outcome, 2)
+    assert best["threshold"] == pytest.approx(0.55)
+    assert (best["precision"], best["recall"]) == (0.5, 1.0)
 
 
 def test_the_calibration_writes_its_file_and_refuses_what_there_is_not(
