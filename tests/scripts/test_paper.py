@@ -270,7 +270,7 @@ def test_what_was_run_is_not_run_again(tmp_path: Path, monkeypatch: pytest.Monke
 def test_other_code_or_another_threshold_is_another_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store, paper = Cache(tmp_path), RunSettings(map="ring")
     file = store._run_file(paper)
-    monkeypatch.setattr("agents.knn.config.calibrated_thresholds", lambda: {"cosine": 0.5})
+    monkeypatch.setattr("agents.knn.config.calibrated_thresholds", lambda detector: {"cosine": 0.5})
     assert store._run_file(paper) != file
     assert store._run_file(EIGHT) == store._run_file(RunSettings(**asdict(EIGHT)))
     monkeypatch.undo()
