@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopVectorEnv, EnvConfig, FloorPlan, NoiseConfig
-from cyclic_env.config import NOISE_PRESETS, from_mapping, noise_from_name
+from cyclic_env.config import NOISE_PRESETS, noise_from_name
+from cyclic_env.validation import from_mapping
 
 
 @pytest.mark.parametrize(

@@ -46,7 +46,7 @@ def reward_row(weights, units, terms):
     units : tuple of 6 numbers
         How many units of each term the step brought, in the order of `REWARD_TERMS`.
     terms : (6,) float64
-        Written to.
+        Output.
     """
     terms[0] = weights[0] * units[0]
     terms[1] = weights[1] * units[1]

@@ -142,7 +142,7 @@ def test_what_is_no_vector_env_of_ours_is_refused() -> None:
     cart_pole = gymnasium.vector.SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")], autoreset_mode=mode)
     wrong_mode = CyclicLoopVectorEnv(1, "ring")
     for env in (None, CyclicLoopEnv("ring"), cart_pole, wrong_mode):
-        with pytest.raises(ConfigError, match=r"expected (a vector env with|one of CyclicLoop)"):
+        with pytest.raises(ConfigError, match=r"expected a vector env"):
             next(rollout(make_agent("random"), env, [0]))  # pyright: ignore[reportArgumentType]
     cart_pole.close()
     wrong_mode.close()
@@ -183,5 +183,5 @@ def test_evaluation_needs_no_learning_library() -> None:
 
 
 def test_a_policy_that_acts_by_other_actions_than_the_environment_is_refused() -> None:
-    with pytest.raises(ConfigError, match="acts by 'twist', the environment by 'wheels'"):
+    with pytest.raises(ConfigError, match="'twist', but the environment has 'wheels'"):
         evaluate(make_agent("circling", action_type="twist"), map_name="ring", seeds=[0])

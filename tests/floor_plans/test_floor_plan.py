@@ -89,14 +89,10 @@ def test_a_shipped_plan_has_its_number_of_cycles(name: str) -> None:
 
 
 @shipped
-def test_a_shipped_plan_is_named_like_its_file(name: str) -> None:
-    assert load_floor_plan(name).name == name
-
-
-@shipped
-@pytest.mark.parametrize("key", ["title", "source", "licence"])
-def test_a_shipped_plan_says_what_it_is_and_whose(name: str, key: str) -> None:
-    assert getattr(load_floor_plan(name), key).strip()
+def test_a_shipped_plan_is_named_like_its_file_and_says_what_it_is_and_whose(name: str) -> None:
+    plan = load_floor_plan(name)
+    assert plan.name == name
+    assert all(text.strip() for text in (plan.title, plan.source, plan.licence))
 
 
 @shipped
