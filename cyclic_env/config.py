@@ -276,8 +276,8 @@ class EnvConfig:
     """
 
     map_name: str | tuple[str, ...] = "killian_court"
-    """A shipped floor plan, a YAML file, or a generated building such as generated:cycles=4,seed=7. Given
-    several, or the split generated:train, every reset draws one."""
+    """A shipped floor plan, a YAML file, or a generated building such as generated:cycles=4,seed=7. Of several, or
+    of the split generated:train, every reset draws one."""
     noise: NoisePreset | NoiseConfig | tuple[NoisePreset | NoiseConfig, ...] = "ideal"
     """Errors of the sensors. Given several, every reset draws one for each robot."""
     action_type: ActionType = "wheels"

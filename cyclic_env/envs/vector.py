@@ -151,7 +151,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
             If the actions don't fit, or a row has no running episode; nothing has changed.
         FloorPlanError
             If a row that is reset draws a plan that does not suit the robot. The step has been taken; the next one
-            resets that row again, which draws anew.
+            resets that row again, with a new draw.
         """
         with self._access:
             ended, skip = self._ended.copy(), self._rows_to_skip(active)
@@ -235,7 +235,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         if isinstance(seed, Sequence) and not isinstance(seed, str | bytes):
             if len(seed) != self.num_envs:
                 raise ConfigError(
-                    f"{len(seed)} seeds were given for {self.num_envs} rows; give one seed, or one a row."
+                    f"{len(seed)} seeds were given for {self.num_envs} rows; give one seed, or one for each row."
                 )
             return [check_seed(value) for value in seed]
         first = check_seed(seed)

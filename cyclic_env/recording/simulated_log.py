@@ -1,6 +1,6 @@
-"""Logs of a simulated robot that wanders through a building with worn wheels: to choose settings by, before a real log.
+"""Simulated logs of a robot with worn wheels in a building, on which settings are chosen before a real log is used.
 
-Unlike the environment's robot it has no compass. Its heading is what its wheels tell, and drifts.
+Unlike the environment's robot, it has no compass: its heading comes from its wheels, and drifts.
 """
 
 from __future__ import annotations
@@ -24,27 +24,27 @@ from cyclic_env.simulation.wall_index import build_wall_index
 SPACING = 0.1
 """Metres between scans."""
 TURN = math.radians(12)
-"""Most that the robot turns between two scans."""
+"""Greatest turn between two scans, radians."""
 ROUNDING, WANDERING, ASIDE = 0.5, 4.0, 0.25
-"""Metres over which corners are rounded and the robot wanders off the middle of the corridor, and how far, rms."""
+"""Metres: how smoothly corners and the offset from a corridor's middle are drawn, and the rms of this offset."""
 CLEARANCE = 0.3
-"""Metres to the nearest wall at least."""
+"""Least distance to the nearest wall, metres."""
 SPEED = 0.5
-"""Metres a second."""
+"""Metres per second."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WheelErrors:
-    """Standard deviations of what is wrong with a robot's odometry, by default a worn B21's or Pioneer's."""
+    """Standard deviations of the errors of a robot's odometry, by default those of a worn B21 or Pioneer."""
 
     turn_drift_deg: float = 0.12
-    """Degrees for each metre, drawn once for a log."""
+    """Drift of the heading, degrees per metre driven, drawn once for a log."""
     turn_scale: float = 0.03
     distance_scale: float = 0.015
-    """Shares, drawn once for a log."""
+    """Scale errors (1 = 100 %), drawn once for a log."""
     turn_noise_deg: float = 0.5
     distance_noise: float = 0.02
-    """Degrees and metres, for a metre driven."""
+    """Random walks, degrees and metres per square root of a metre driven."""
 
 
 def simulate_log(
@@ -56,24 +56,24 @@ def simulate_log(
     wheels: WheelErrors | None = None,
     range_std: float = 0.02,
 ) -> RobotLog:
-    """Return the log of a robot that drives the corridors of a building, those first that it has driven least.
+    """Return the log of a robot that drives the corridors of a building and prefers those that it has driven least.
 
     Parameters
     ----------
     plan : FloorPlan
-        With centrelines.
+        It must have centrelines.
     length : float
-        Metres to drive, about.
+        Approximate length of the path, metres.
     laser : LaserConfig
     seed : int
     wheels : WheelErrors, optional
     range_std : float
-        Noise of a range, metres.
+        Standard deviation of a range, metres.
 
     Returns
     -------
     RobotLog
-        Its reference is the truth.
+        Its reference poses are the true ones.
     """
     rng, wheels = np.random.default_rng(seed), wheels or WheelErrors()
     poses = _with_turns(_drive(plan, length, rng))
@@ -128,7 +128,7 @@ def _drive(plan: FloorPlan, length: float, rng: np.random.Generator) -> np.ndarr
 
 
 def _route(plan: FloorPlan, length: float, rng: np.random.Generator) -> np.ndarray:
-    """Return points `(n, 2)` along the centrelines: at each crossing the piece that was driven least comes next."""
+    """Return points `(n, 2)` along the centrelines; at each crossing, the piece that was driven least comes next."""
     lines = [LineString(line) for line in plan.centrelines if len(line) > 1]
     lines += joins(lines, plan.free_space.boundary)
     pieces = shapely.get_parts(shapely.line_merge(shapely.union_all(lines, grid_size=1e-6)))
@@ -136,7 +136,7 @@ def _route(plan: FloorPlan, length: float, rng: np.random.Generator) -> np.ndarr
     nodes = np.unique(ends, axis=0, return_inverse=True)[1].reshape(-1, 2)
     driven, node, last, total, way = np.zeros(len(pieces)), nodes[0, 0], -1, 0.0, []
     while total < length:
-        # A piece is not driven back at once, unless there is no other.
+        # Turning back counts as four more drives of a piece.
         choices = [
             (driven[k] + rng.random() + 4 * (k == last), k, end) for k, end in np.argwhere(nodes == node).tolist()
         ]
@@ -150,7 +150,7 @@ def _route(plan: FloorPlan, length: float, rng: np.random.Generator) -> np.ndarr
 
 
 def _with_turns(points: np.ndarray) -> np.ndarray:
-    """Return poses `(m, 3)` at the points, headed for the next ones; the robot turns on the spot where it must."""
+    """Return poses `(m, 3)` at the points, each headed for the next one, with sharp turns made on the spot."""
     headings = np.unwrap(np.arctan2(*np.diff(points, axis=0).T[::-1]))
     counts = np.append(1, 1 + (np.abs(np.diff(headings)) / TURN).astype(np.int64))
     at = np.repeat(np.arange(len(headings)), counts)

@@ -113,7 +113,7 @@ def command_substep(bodies, drive, commands, first, dynamics):
     commands : (N, 2) float64
         Commanded speeds of the left and the right wheel, m/s.
     first : bool
-        Whether a control step begins, so that travel and contact start anew.
+        Whether a control step begins, which resets travel and contact.
     dynamics : Dynamics
     """
     states, forces, dt = bodies.states, bodies.forces, dynamics.dt

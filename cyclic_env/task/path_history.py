@@ -2,7 +2,7 @@
 
 A path is divided into **visits**: runs of at most `VISIT_STEPS` steps within one cell of the size of the return
 radius. Every cell lists its visits, oldest first, and every visit has the box around its positions. Ground that a
-counted revisit event covered is marked step by step, and every cell lists the visits with such steps as well.
+counted revisit event covered is marked step by step, and every cell also lists the visits with such steps.
 
 The arrays have room for the longest episodes, but take memory only as the paths grow.
 """
@@ -37,7 +37,7 @@ STATUS = np.dtype(
         ("event_first", "i8"),  # first and last fresh step of the open event
         ("event_last", "i8"),
         ("revisits", "i8"),  # settled events
-        ("recognised", "i8"),  # those of them that were recognised
+        ("recognised", "i8"),  # settled events that were recognised
         ("missed_now", "i8"),  # events that settled missed in this step
         ("judged_path", "f8"),  # path length at the last judged claim, and at the last correct one
         ("correct_path", "f8"),

@@ -101,7 +101,7 @@ def _without_stubs(edges: list[Edge]) -> list[Edge]:
 
 
 class Module(NamedTuple):
-    """The appearance of a corridor, whatever its length: its width in metres, and random numbers from 0 to 1."""
+    """The appearance of a corridor of any length: its width in metres, and random numbers from 0 to 1."""
 
     width: float
     niches: list[list[list[float]]]  # (2, MAX_SLOTS, 4): side and slot; kind, length, place, depth
