@@ -12,7 +12,7 @@ import pytest
 import shapely
 
 from agents.exploration.planner import PlannerConfig
-from agents.knn.config import PRESETS, calibrated_thresholds, preset
+from agents.knn.config import calibrated_thresholds, preset
 from agents.knn.directions import EAST, NORTH, WEST, compass_direction, sector_features
 from agents.knn.explorer import KnnExplorer
 from agents.knn.loop_detector import AppearanceDetector, revisit_candidates
@@ -133,13 +133,6 @@ def test_it_finds_its_way_with_typical_noise() -> None:
 def test_it_drives_with_every_action_type(action_type: Any) -> None:
     info, _ = explore("ring", KnnPolicy(action_type=action_type), steps=300, action_type=action_type)
     assert info["coverage"] > 0.5
-
-
-def test_the_preset_of_the_paper_compares_tables_of_one_direction_and_stops() -> None:
-    info, memory = explore("figure_eight", KnnPolicy(PRESETS["paper"]))
-    assert memory.done
-    assert memory.detector.vote.compared > 0
-    assert info["path_length_m"] > 10
 
 
 def test_rows_of_a_batch_are_explored_as_alone() -> None:
