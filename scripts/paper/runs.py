@@ -116,7 +116,7 @@ def run_explorer(settings: RunSettings) -> RunRecord:
         if terminated:
             ending = "success"
         elif truncated:
-            ending = "list empty" if state[0].done else "step budget"
+            ending = state[0].stop_reason or "step budget"
     assert state is not None
     memory: KnnExplorer = state[0]
     tour = env.floor_plan.closed_tour()

@@ -132,8 +132,8 @@ def variations(scope: Scope) -> dict[str, dict[str, dict[str, Any]]]:
             "opposite too, looking back": {"changes": {"both_directions": True}},
         },
         "told by": {
-            "KNN": {},
-            "KNN, gated by position": {"changes": {"detector": "both"}},
+            "KNN": {"changes": {"detector": "knn"}},
+            "KNN, gated by position": {},
             "position": {"changes": {"detector": "position"}},
         },
     }

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import re
 from dataclasses import asdict, replace
@@ -13,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from agents.knn.config import PRESETS, calibrated_thresholds, preset
+from agents.knn.config import preset
 from agents.knn.loop_detector import AppearanceDetector
 from agents.knn.policy import KnnPolicy
 from agents.knn.similarity import MEASURES
@@ -36,12 +35,10 @@ from scripts.paper.runs import (
     scaled_noise,
 )
 from scripts.paper.sections import AGAIN, EXPLORER, GOLDEN, TABLE_1, Scope, second_lap
-from scripts.paper.thresholds import calibrate, training_runs
 from scripts.paper.timing import search_growth
 from tests.helpers import load_script
 
 reproduce = load_script("reproduce_paper")
-calibration = load_script("calibrate_thresholds")
 
 TINY = Scope(
     name="tiny",
@@ -184,49 +181,6 @@ def test_intervals_hold_the_mean_and_are_drawn_alike_for_all_measures() -> None:
     np.testing.assert_allclose(drawn[:, 1] - drawn[:, 0], 0.25)
 
 
-# Thresholds.
-
-
-def test_every_measure_has_a_calibrated_threshold_which_is_the_default() -> None:
-    assert set(calibrated_thresholds()) == set(MEASURES)
-    for name, threshold in calibrated_thresholds().items():
-        assert preset("paper", measure=name).least_similarity == threshold
-    assert preset("paper", threshold=0.9).least_similarity == 0.9
-    assert PRESETS["paper"].threshold is None
-
-
-def test_only_training_plans_calibrate() -> None:
-    assert all(re.fullmatch(r"generated:train,index=\d+", run.map) for run in training_runs(20))
-
-
-def test_a_calibrated_threshold_takes_the_answers_of_its_recall(eight: RunRecord) -> None:
-    entry = calibrate([eight])["cityblock"]
-    _, _, distance = votes(eight, "cityblock")
-    taken = (1 - distance) > entry["threshold"]
-    assert taken.any()
-    assert entry["precision"] == pytest.approx(entry["recall"] * eight.revisit.sum() / _certain(eight, taken))
-
-
-def _certain(record: RunRecord, taken: np.ndarray) -> int:
-    queries, found, _ = votes(record, "cityblock")
-    return int((record.truth[queries, found][taken] != TOO_SOON).sum())
-
-
-def test_the_calibration_writes_its_file_and_refuses_what_there_is_not(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(calibration, "training_runs", lambda plans: [RunSettings(map="ring", preset="extended")])
-    arguments = ["--plans", "1", "--processes", "1", "--out", str(tmp_path / "th.json"), "--cache", str(tmp_path)]
-    assert calibration.main(arguments) == 0
-    assert set(json.loads((tmp_path / "th.json").read_text())["measures"]) == set(MEASURES)
-    capsys.readouterr()
-    for wrong, message in ((["--plans", "0"], "--plans is 0"), (["--processes", "0"], "--processes is 0")):
-        assert calibration.main([*arguments, *wrong]) == 2
-        said = capsys.readouterr().err
-        assert message in said
-        assert said.count("\n") == 1
-
-
 # Growth of the search.
 
 
@@ -316,7 +270,7 @@ def test_what_was_run_is_not_run_again(tmp_path: Path, monkeypatch: pytest.Monke
 def test_other_code_or_another_threshold_is_another_result(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     store, paper = Cache(tmp_path), RunSettings(map="ring")
     file = store._run_file(paper)
-    monkeypatch.setattr("agents.knn.config.calibrated_thresholds", lambda: {"cosine": 0.5})
+    monkeypatch.setattr("agents.knn.config.calibrated_thresholds", lambda detector: {"cosine": 0.5})
     assert store._run_file(paper) != file
     assert store._run_file(EIGHT) == store._run_file(RunSettings(**asdict(EIGHT)))
     monkeypatch.undo()
