@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from agents.registry import agent_names, make_agent
+from cyclic_env import CyclicLoopVectorEnv
 from cyclic_env.config import ActionType, noise_from_name
-from cyclic_env.envs.vector import CyclicLoopVectorEnv
-from cyclic_env.errors import ConfigError, unknown_name
+from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation.rollout import Evaluation, Policy, checked_seeds, evaluate
 from cyclic_env.floor_plans import load_floor_plans
+from cyclic_env.validation import unknown_name
 
 DEFAULT_MAP = "killian_court"
 LEARNING = ("stable_baselines3", "torch")

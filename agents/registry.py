@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
+from agents.base import BatchPolicy
 from agents.knn.config import preset
-from agents.knn.explorer import KnnExplorer
+from agents.knn.policy import KnnPolicy
 from agents.scripted import (
     BEYOND_WALL,
     CLEAR_OF_WALL,
@@ -14,29 +16,30 @@ from agents.scripted import (
     RIGHT,
     RandomAgent,
     ScriptedAgent,
+    ScriptedPolicy,
     SpinningAgent,
     StandingStillAgent,
     ToAndFroAgent,
     WallFollowingAgent,
 )
-from cyclic_env.config import ActionType, check_choice
-from cyclic_env.evaluation.rollout import Policy
+from cyclic_env.config import ActionType, EnvConfig
+from cyclic_env.validation import check_choice
 
 CLAIMS = "+claims"
 """Ending of the names of agents that claim in every step to be back at the start."""
 
 _DRIVES: dict[str, Callable[..., ScriptedAgent]] = {
-    "circling": partial(WallFollowingAgent, side=LEFT, distance=CLEAR_OF_WALL),
+    "circling": partial(WallFollowingAgent, side=LEFT, wall_distance=CLEAR_OF_WALL),
     "random": RandomAgent,
     "spinning": SpinningAgent,
     "standing_still": StandingStillAgent,
     "to_and_fro": ToAndFroAgent,
-    "wall_hugging": partial(WallFollowingAgent, side=RIGHT, distance=BEYOND_WALL),
+    "wall_hugging": partial(WallFollowingAgent, side=RIGHT, wall_distance=BEYOND_WALL),
 }
-_BASELINES: dict[str, Callable[..., ScriptedAgent]] = {
-    name: agent
-    for drive, factory in _DRIVES.items()
-    for name, agent in ((drive, factory), (drive + CLAIMS, partial(factory, claims=True)))
+_BASELINES = {
+    drive + ending: partial(ScriptedPolicy, kind, claims=bool(ending))
+    for drive, kind in _DRIVES.items()
+    for ending in ("", CLAIMS)
 }
 _EXPLORERS = {
     "knn": preset("extended"),
@@ -56,15 +59,17 @@ def agent_names() -> tuple[str, ...]:
     return (*_EXPLORERS, *_BASELINES)
 
 
-def make_agent(name: str, *, action_type: ActionType = "wheels", seed: int = 0) -> Policy:
+def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = None, seed: int = 0) -> BatchPolicy:
     """Return the agent of that name.
 
     Parameters
     ----------
     name : str
         One of `agent_names`.
-    action_type : {"wheels", "twist", "discrete"}
-        That of the environment.
+    env : CyclicLoopEnv or CyclicLoopVectorEnv, optional
+        What it is for, perhaps wrapped: the agent takes its laser, robot and action type from there.
+    action_type : {"wheels", "twist", "discrete"}, optional
+        By default the environment's; without one, ``"wheels"``.
     seed : int
         For agents that draw.
 
@@ -73,6 +78,9 @@ def make_agent(name: str, *, action_type: ActionType = "wheels", seed: int = 0) 
     ConfigError
         If there is no such agent; the message lists them and the nearest.
     """
-    if name in _EXPLORERS:
-        return KnnExplorer(_EXPLORERS[name], action_type=action_type)
-    return _BASELINES[check_choice("agent", name, agent_names())](action_type=action_type, seed=seed)
+    check_choice("agent", name, agent_names())
+    settings = EnvConfig() if env is None else env.unwrapped.config
+    actions = action_type or settings.action_type
+    if name in _BASELINES:
+        return _BASELINES[name](action_type=actions, seed=seed)
+    return KnnPolicy(_EXPLORERS[name].fitted(settings.laser, settings.robot), action_type=actions)

@@ -1,325 +1,262 @@
-"""Scripted policies: what can be had without any thought about loops, and a floor under every other score.
-
-Each has the shape of Stable-Baselines3's ``PolicyPredictor``. What an agent remembers of an episode is in the
-state that `predict` returns, a row for each robot, so one agent can drive any number of robots.
-"""
+"""Scripted agents: what can be had without any thought about loops, and a floor under every other score."""
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+import math
+from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
 
-from cyclic_env.config import ACTION_TYPES, ActionType, check_choice
-from cyclic_env.errors import ConfigError
-
-MEMORY = np.dtype(
-    [
-        ("steps", "i8"),  # calls since the episode's start
-        ("key", "u8"),  # of the robot's random numbers
-        ("backward", "?"),  # to and fro: which of the two
-    ]
-)
-"""What a scripted agent remembers of one robot's episode."""
-
-State = tuple[np.ndarray]
-"""A state: one array `(N,)` of `MEMORY`."""
-
-MATCH_START = -1.0
-"""Match of an action that claims to be back at the reset."""
-
-STOP, FORWARD, TURN_LEFT, TURN_RIGHT, BACK = range(5)
-"""The discrete drives."""
+from agents.actions import BACK, MATCH_START, Decision
+from agents.base import Agent, BatchPolicy
+from cyclic_env.config import ActionType
 
 LEFT, RIGHT = 1, -1
 
 CLEAR_OF_WALL = 0.45
-"""Metres from the robot's centre to the wall that it follows: 0.2 m of air."""
+"""Metres from the robot's center to the wall that it follows: 0.2 m of air."""
 BEYOND_WALL = 0.2
-"""Less than the robot's radius: it leans on the wall for all its way."""
+"""Less than the robot's radius: it leans on the wall all the way."""
 
 LOOKAHEAD = 0.8
 """Metres of free way that a heading must have; a full stop takes 0.4."""
 
 STOP_AHEAD = 0.75
-"""Metres from the robot's centre to a wall at which it turns back: the radius, and half a metre to stop in."""
+"""Metres from the robot's center to a wall at which it turns back: the radius, and half a metre to stop in."""
 HALF_WIDTH = 0.35
-"""Metres; what is less far off the line of driving is in the way."""
+"""Metres: what is nearer to the line of driving is in the way."""
 
-TURN_FROM = 0.12
-"""Radians; discrete turns are 10 degrees a step, so smaller errors of the heading can't be mended."""
+BITS = 0xFFFFFFFFFFFFFFFF
+"""Of the 64-bit whole numbers that random ones are made of."""
 
 
-class ScriptedAgent(ABC):
-    """A policy that follows a fixed rule.
+class ScriptedAgent(Agent):
+    """An agent that follows a fixed rule.
 
     Parameters
     ----------
+    claims : bool
+        Claim in every step to be back at the start (with discrete actions, anywhere); else never.
+    key : int
+        Of its random numbers, if it draws.
+    """
+
+    def __init__(self, *, claims: bool = False, key: int = 0) -> None:
+        self.claims = claims
+        self.key = key
+
+    def decide(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> Decision:
+        """Drive by the rule; only the scan matters."""
+        speed, turn = self.drive(scan)
+        return Decision(speed, turn, self.claims, MATCH_START)
+
+    @abstractmethod
+    def drive(self, scan: np.ndarray) -> tuple[float, float]:
+        """Return speed and turning rate, as shares of the full ones."""
+
+
+class ScriptedPolicy(BatchPolicy):
+    """A scripted agent for each robot; these are the state that `predict` returns.
+
+    Parameters
+    ----------
+    kind : callable
+        Makes a `ScriptedAgent`, given `claims` and `key`.
     action_type : {"wheels", "twist", "discrete"}
         That of the environment.
     claims : bool
-        Claim in every step to be back at the start (with discrete actions, anywhere); else never.
+        As for `ScriptedAgent`.
     seed : int
-        For agents that draw.
+        Of the random numbers of agents that draw.
     """
 
-    def __init__(self, *, action_type: ActionType = "wheels", claims: bool = False, seed: int = 0) -> None:
-        self.action_type: ActionType = check_choice("action type", action_type, ACTION_TYPES)
+    def __init__(
+        self,
+        kind: Callable[..., ScriptedAgent],
+        *,
+        action_type: ActionType = "wheels",
+        claims: bool = False,
+        seed: int = 0,
+    ) -> None:
+        super().__init__(action_type=action_type)
+        self.kind = kind
         self.claims = claims
         self.seed = seed
 
-    def predict(
-        self,
-        observation: np.ndarray | Mapping[str, np.ndarray],
-        state: tuple[np.ndarray, ...] | None = None,
-        episode_start: np.ndarray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[np.ndarray, tuple[np.ndarray, ...] | None]:
-        """Return actions, and what to remember.
+    def new_agent(self, beams: int, row: int, previous: Any = None) -> ScriptedAgent:
+        """Return an agent with random numbers of its own: those of its row, and others in every episode."""
+        key = random_key(self.seed, row) if previous is None else mix(previous.key)
+        return self.kind(claims=self.claims, key=key)
 
-        Parameters
-        ----------
-        observation : dict of arrays
-            ``laser`` `(N, beams)`, ``distance`` `(N, 1)`, ``compass`` `(N, 2)`; or of one robot, without the N.
-        state : tuple, optional
-            As returned by the last call; None at the first.
-        episode_start : (N,) bool, optional
-            Robots whose episode has just begun.
-        deterministic : bool
-            Makes no difference: the random agent has nothing else to do than draw.
-
-        Returns
-        -------
-        actions : (N, 4) float32, or (N, 2) int64 if discrete; without the N for one robot
-        state : tuple
-        """
-        if not isinstance(observation, Mapping):
-            raise ConfigError("the observation must be a dict with laser, distance and compass.")
-        laser = np.asarray(observation["laser"], np.float64)
-        single = laser.ndim == 1
-        laser = np.atleast_2d(laser)
-        memory = self._memory(len(laser), state, episode_start)
-        drive = self._drive(laser, memory)
-        memory["steps"] += 1
-        actions = self._actions(drive)
-        return (actions[0] if single else actions), (memory,)
-
-    def reseed(self, state: tuple[np.ndarray, ...] | None, seeds: Sequence[int | None]) -> State:
+    def reseed(self, state: tuple[ScriptedAgent, ...] | None, seeds: Sequence[int | None]) -> tuple[ScriptedAgent, ...]:
         """Return the state with the random numbers of some robots begun anew.
 
         A harness that gives every episode a seed calls this, so that an episode is the same in any row of any batch.
 
         Parameters
         ----------
-        state : tuple or None
+        state : tuple of ScriptedAgent or None
         seeds : sequence of N ints or None
             None leaves a robot's numbers as they are.
         """
-        memory = self._memory(len(seeds), state, None)
-        for row, seed in enumerate(seeds):
+        agents = state or tuple(self.new_agent(0, row) for row in range(len(seeds)))
+        for agent, seed in zip(agents, seeds, strict=True):
             if seed is not None:
-                memory["key"][row] = _key(self.seed, seed)
-        return (memory,)
-
-    def _memory(self, count: int, state: tuple[np.ndarray, ...] | None, episode_start: np.ndarray | None) -> np.ndarray:
-        """Return a copy of what the state holds, and forget what is of an earlier episode."""
-        if state is None:
-            memory = np.zeros(count, MEMORY)
-            memory["key"] = [_key(self.seed, row) for row in range(count)]
-            return memory
-        memory = state[0].copy()
-        if len(memory) != count:
-            raise ConfigError(
-                f"the state is of {len(memory)} robots, the observation of {count}; begin with state=None."
-            )
-        if episode_start is not None:
-            begun = np.asarray(episode_start, np.bool_).reshape(count)
-            memory["steps"][begun] = 0
-            memory["backward"][begun] = False
-            memory["key"][begun] = mix(memory["key"][begun])
-        return memory
-
-    def _actions(self, drive: np.ndarray) -> np.ndarray:
-        """Turn drives `(N, 2)`, speed and turning rate as shares of a full twist, into actions."""
-        claims = np.full(len(drive), 1.0 if self.claims else -1.0)
-        return drive_actions(drive, self.action_type, claims, np.full(len(drive), MATCH_START))
-
-    @abstractmethod
-    def _drive(self, laser: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        """Return `(N, 2)`: speed and turning rate, as shares of a full twist; may write to the memory."""
-
-
-def drive_actions(drive: np.ndarray, action_type: ActionType, claims: np.ndarray, matches: np.ndarray) -> np.ndarray:
-    """Return actions `(N, 4)` float32, or `(N, 2)` int64 if discrete.
-
-    Parameters
-    ----------
-    drive : (N, 2)
-        Speed and turning rate as shares of a full twist.
-    action_type : {"wheels", "twist", "discrete"}
-    claims, matches : (N,)
-        As in the action space; a discrete claim has no match.
-    """
-    speed, turn = drive.T
-    if action_type == "discrete":
-        drives = np.select(
-            [turn > TURN_FROM, turn < -TURN_FROM, speed > 0, speed < 0],
-            [TURN_LEFT, TURN_RIGHT, FORWARD, BACK],
-            STOP,
-        )
-        return np.column_stack([drives, claims > 0])
-    if action_type == "twist":
-        return with_claims(drive, claims, matches)
-    # A full turn, 3 rad/s, is half of the wheels' speed to either side.
-    wheels = np.column_stack([speed - turn / 2, speed + turn / 2])
-    return with_claims(wheels / np.maximum(1.0, np.abs(wheels).max(axis=1, keepdims=True)), claims, matches)
-
-
-def with_claims(drives: np.ndarray, claims: np.ndarray, matches: np.ndarray) -> np.ndarray:
-    """Return drives `(N, 2)`, claims and matches `(N,)` as actions `(N, 4)` float32."""
-    return np.column_stack([drives, claims, matches]).astype(np.float32)
+                agent.key = random_key(self.seed, seed)
+        return agents
 
 
 class StandingStillAgent(ScriptedAgent):
     """Does nothing."""
 
-    def _drive(self, laser: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        return np.zeros((len(memory), 2))
+    def drive(self, scan: np.ndarray) -> tuple[float, float]:
+        """Stand still."""
+        return 0.0, 0.0
 
 
 class SpinningAgent(ScriptedAgent):
     """Turns left on the spot."""
 
-    def _drive(self, laser: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        return np.tile([0.0, 1.0], (len(memory), 1))
+    def drive(self, scan: np.ndarray) -> tuple[float, float]:
+        """Turn."""
+        return 0.0, 1.0
 
 
 class RandomAgent(ScriptedAgent):
-    """Draws its drives uniformly from the action space, anew in every step."""
+    """Draws its drives uniformly from the action space, in every step."""
 
-    def _drive(self, laser: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        step = memory["steps"].astype(np.uint64)
-        return np.column_stack([uniform(memory["key"], 2 * step + np.uint64(i)) for i in range(2)])
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.steps = 0
 
-    def _actions(self, drive: np.ndarray) -> np.ndarray:
-        if self.action_type == "discrete":
-            drives = np.minimum(((drive[:, 0] + 1) / 2 * (BACK + 1)).astype(np.int64), BACK)
-            return np.column_stack([drives, np.full(len(drives), int(self.claims))])
-        claims = np.full(len(drive), 1.0 if self.claims else -1.0)
-        return with_claims(drive, claims, np.full(len(drive), MATCH_START))
+    def drive(self, scan: np.ndarray) -> tuple[float, float]:
+        """Draw two numbers from [-1, 1)."""
+        first, second = (uniform(self.key, 2 * self.steps + i) for i in range(2))
+        self.steps += 1
+        return first, second
+
+    def encode(self, decision: Decision, action_type: ActionType) -> tuple[float, ...]:
+        """Take the numbers that were drawn for those of the action, whatever they mean there."""
+        if action_type == "discrete":
+            return min(int((decision.speed + 1) / 2 * (BACK + 1)), BACK), int(decision.claim)
+        return decision.speed, decision.turn, 1.0 if decision.claim else -1.0, decision.match
 
 
 class ToAndFroAgent(ScriptedAgent):
     """Drives straight ahead to a wall, backward to the next one, and so on."""
 
-    def _drive(self, laser: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        sign = np.where(memory["backward"], -1.0, 1.0)
-        memory["backward"] ^= way_ahead(without_outliers(laser), sign) < STOP_AHEAD
-        return np.column_stack([np.where(memory["backward"], -1.0, 1.0), np.zeros(len(memory))])
+    def __init__(self, **settings: Any) -> None:
+        super().__init__(**settings)
+        self.sign = 1.0
+
+    def drive(self, scan: np.ndarray) -> tuple[float, float]:
+        """Go on, or back from a wall."""
+        if way_ahead(without_outliers(scan), self.sign) < STOP_AHEAD:
+            self.sign = -self.sign
+        return self.sign, 0.0
 
 
 class WallFollowingAgent(ScriptedAgent):
     """Goes to the wall on one side and along it, taking every turn to that side: around a block, or a whole building.
 
-    It looks at the nearest wall on its side, turns its eyes from there across its front, and takes the first heading
-    along which a disc of radius `distance` could move for `LOOKAHEAD`.
+    It looks at the nearest wall on its side, turns its gaze from there across its front, and takes the first heading
+    along which a disc of radius `wall_distance` could move for `LOOKAHEAD`.
 
     Parameters
     ----------
     side : {LEFT, RIGHT}
-    distance : float
-        From the robot's centre to the wall, metres; less than its radius makes it lean on the wall.
-    action_type, claims, seed
+    wall_distance : float
+        From the robot's center to the wall, metres; less than its radius makes it lean on the wall.
+    claims, key
         As for `ScriptedAgent`.
     """
 
-    def __init__(self, *, side: int, distance: float, **settings: Any) -> None:
+    def __init__(self, *, side: int, wall_distance: float, **settings: Any) -> None:
         super().__init__(**settings)
         self.side = side
-        self.distance = distance
+        self.wall_distance = wall_distance
 
-    def _drive(self, laser: np.ndarray, memory: np.ndarray) -> np.ndarray:
-        laser = without_outliers(laser)
+    def drive(self, scan: np.ndarray) -> tuple[float, float]:
+        """Drive along the wall."""
+        scan = without_outliers(scan)
         if self.side == RIGHT:
-            laser = np.roll(laser[:, ::-1], 1, axis=1)  # seen in a mirror, the wall is on the left
-        bearing = first_free_bearing(laser, self.distance)
-        turn = np.clip(bearing, -1.0, 1.0)
-        speed = np.maximum(np.cos(bearing), 0.0) ** 3
-        return np.column_stack([speed, self.side * turn])
+            scan = np.roll(scan[::-1], 1)  # seen in a mirror, the wall is on the left
+        bearing = first_free_bearing(scan, self.wall_distance)
+        # NumPy's cosine and power, whose last bits differ from the math module's.
+        ahead = np.maximum(np.cos(np.array([bearing])), 0.0)
+        speed = float(np.power(ahead, 3)[0])
+        return speed, self.side * max(-1.0, min(1.0, bearing))
 
 
-def first_free_bearing(laser: np.ndarray, radius: float) -> np.ndarray:
+def first_free_bearing(scan: np.ndarray, radius: float) -> float:
     """Return the first bearing, clockwise from the nearest wall on the left, in which a disc can move for `LOOKAHEAD`.
 
     Parameters
     ----------
-    laser : (N, beams) array
+    scan : (beams,) array
         Ranges in metres, beam 0 straight ahead, counter-clockwise.
     radius : float
         Of the disc, metres.
 
     Returns
     -------
-    (N,) float64
+    float
         Radians in (-pi, pi]; where the disc can move nowhere, straight away from the nearest wall.
     """
-    count, beams = laser.shape
-    spacing = 2 * np.pi / beams
+    beams = len(scan)
     # A wall blocks the bearings within this angle of its own: the disc would touch it with its side, or end on it.
-    ranges = np.maximum(laser, radius)
+    ranges = np.maximum(scan, radius)
     on_side = np.arcsin(radius / ranges)
     at_end = np.arccos(np.clip((ranges**2 + LOOKAHEAD**2 - radius**2) / (2 * ranges * LOOKAHEAD), -1.0, 1.0))
     reach = np.where(ranges**2 <= LOOKAHEAD**2 + radius**2, on_side, at_end)
-    blocked = (angles_apart(beams) < reach[:, None, :] - 1e-9).any(-1)
+    blocked = np.any(angles_between(beams) < reach - 1e-9, axis=-1)
     # The wall on the left may be as far round as a corner just passed is behind, or a wall straight ahead.
     window = (np.arange(-beams // 18, beams // 2 + beams // 18 + 1)) % beams
-    nearest = window[np.argmin(laser[:, window], axis=1)]
-    order = (nearest[:, None] - np.arange(beams)) % beams
-    free = ~np.take_along_axis(blocked, order, axis=1)
-    first = np.where(free.any(1), np.argmax(free, axis=1), beams // 2)
-    index = order[np.arange(count), first]
-    return np.where(index > beams // 2, index - beams, index) * spacing
+    nearest = window[np.argmin(scan[window])]
+    order = (nearest - np.arange(beams)) % beams
+    free = ~blocked[order]
+    index = int(order[np.argmax(free) if free.any() else beams // 2])
+    return (index - beams if index > beams // 2 else index) * (2 * np.pi / beams)
 
 
 @cache
-def angles_apart(beams: int) -> np.ndarray:
+def angles_between(beams: int) -> np.ndarray:
     """Return the angles between any two beams, `(beams, beams)`, radians in [0, pi]."""
     steps = np.arange(beams)
     apart = abs(steps[:, None] - steps)
     return np.minimum(apart, beams - apart) * (2 * np.pi / beams)
 
 
-def way_ahead(laser: np.ndarray, sign: np.ndarray) -> np.ndarray:
-    """Return how far the walls in the robot's way are, `(N,)` metres, driving ahead (sign 1) or backward (-1)."""
-    bearings = np.arange(laser.shape[1]) * (2 * np.pi / laser.shape[1])
-    along = laser * np.cos(bearings) * sign[:, None]
-    in_way = (along > 0) & (abs(laser * np.sin(bearings)) < HALF_WIDTH)
-    return np.min(along, axis=1, where=in_way, initial=np.inf)
+def way_ahead(scan: np.ndarray, sign: float) -> float:
+    """Return how far the nearest wall in the robot's way is, metres, driving ahead (sign 1) or backward (-1)."""
+    bearings = np.arange(len(scan)) * (2 * np.pi / len(scan))
+    along = scan * np.cos(bearings) * sign
+    in_way = (along > 0) & (abs(scan * np.sin(bearings)) < HALF_WIDTH)
+    return float(np.min(along, where=in_way, initial=math.inf))
 
 
-def without_outliers(laser: np.ndarray) -> np.ndarray:
-    """Return the median of every beam and its two neighbours, which drops a single wrong range."""
-    before, after = np.roll(laser, 1, axis=1), np.roll(laser, -1, axis=1)
-    return np.maximum(np.minimum(before, laser), np.minimum(np.maximum(before, laser), after))
+def without_outliers(scan: np.ndarray) -> np.ndarray:
+    """Return the median of every beam and its two neighbors, which drops a single wrong range."""
+    before, after = np.roll(scan, 1), np.roll(scan, -1)
+    return np.maximum(np.minimum(before, scan), np.minimum(np.maximum(before, scan), after))
 
 
-def uniform(key: np.ndarray, counter: np.ndarray) -> np.ndarray:
-    """Return one number from [-1, 1) for each key and counter: row i depends on nothing else, so on no batch."""
-    bits = mix(key ^ mix(counter))
-    return (bits >> np.uint64(11)) * 2.0**-52 - 1.0
+def uniform(key: int, counter: int) -> float:
+    """Return the number from [-1, 1) that belongs to a key and a counter."""
+    return (mix(key ^ mix(counter)) >> 11) * 2.0**-52 - 1.0
 
 
-def mix(values: np.ndarray) -> np.ndarray:
-    """Scramble 64-bit integers (splitmix64; Steele, Lea and Flood 2014)."""
-    mixed = values + np.uint64(0x9E3779B97F4A7C15)
-    mixed = (mixed ^ (mixed >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    mixed = (mixed ^ (mixed >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return mixed ^ (mixed >> np.uint64(31))
+def mix(value: int) -> int:
+    """Scramble a 64-bit whole number (splitmix64; Steele, Lea and Flood 2014)."""
+    mixed = (value + 0x9E3779B97F4A7C15) & BITS
+    mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) & BITS
+    mixed = ((mixed ^ (mixed >> 27)) * 0x94D049BB133111EB) & BITS
+    return mixed ^ (mixed >> 31)
 
 
-def _key(seed: int, row: int) -> np.uint64:
-    low = 0xFFFFFFFFFFFFFFFF
-    return mix(mix(np.array([seed & low], np.uint64)) ^ np.array([row & low], np.uint64))[0]
+def random_key(seed: int, row: int) -> int:
+    """Return the key of the random numbers of a row, or of an episode's seed."""
+    return mix(mix(seed & BITS) ^ (row & BITS))

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         NOISE_PRESETS,
         ClosureConfig,
         CoverageConfig,
+        EnvConfig,
         LaserConfig,
         NoiseConfig,
         RewardConfig,
@@ -30,7 +31,12 @@ if TYPE_CHECKING:
     from cyclic_env.envs.vector import CyclicLoopVectorEnv
     from cyclic_env.errors import ActionError, ConfigError, CyclicLoopError, FloorPlanError, RecordingError, UsageError
     from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names, read_floor_plan, write_floor_plan
-    from cyclic_env.recording.recorder import Recorder, Recording, read_recording, replay
+    from cyclic_env.recording.format import Recording, read_recording
+    from cyclic_env.recording.readers import read_robot_log
+    from cyclic_env.recording.recorded_run import RecordedRun
+    from cyclic_env.recording.recorder import Recorder
+    from cyclic_env.recording.replay import replay
+    from cyclic_env.recording.robot_log import RobotLog
 
 __version__ = "0.1.0"
 
@@ -39,6 +45,7 @@ _HOMES = {
         "NOISE_PRESETS",
         "ClosureConfig",
         "CoverageConfig",
+        "EnvConfig",
         "LaserConfig",
         "NoiseConfig",
         "RewardConfig",
@@ -54,7 +61,12 @@ _HOMES = {
         "UsageError",
     ),
     "cyclic_env.floor_plans": ("FloorPlan", "load_floor_plan", "map_names", "read_floor_plan", "write_floor_plan"),
-    "cyclic_env.recording.recorder": ("Recorder", "Recording", "read_recording", "replay"),
+    "cyclic_env.recording.format": ("Recording", "read_recording"),
+    "cyclic_env.recording.readers": ("read_robot_log",),
+    "cyclic_env.recording.recorded_run": ("RecordedRun",),
+    "cyclic_env.recording.recorder": ("Recorder",),
+    "cyclic_env.recording.replay": ("replay",),
+    "cyclic_env.recording.robot_log": ("RobotLog",),
     "cyclic_env.envs.vector": ("CyclicLoopVectorEnv",),
 }
 _HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
@@ -68,20 +80,24 @@ __all__ = [
     "CyclicLoopEnv",
     "CyclicLoopError",
     "CyclicLoopVectorEnv",
+    "EnvConfig",
     "FloorPlan",
     "FloorPlanError",
     "LaserConfig",
     "NoiseConfig",
+    "RecordedRun",
     "Recorder",
     "Recording",
     "RecordingError",
     "RewardConfig",
     "RobotConfig",
+    "RobotLog",
     "UsageError",
     "load_floor_plan",
     "map_names",
     "read_floor_plan",
     "read_recording",
+    "read_robot_log",
     "replay",
     "write_floor_plan",
 ]

@@ -1,4 +1,4 @@
-"""Writing files so that they are there whole, or as they were; and, before hours of work, that they can be written."""
+"""Writing files whole or not at all, and checks before hours of work that files can be written."""
 
 from __future__ import annotations
 
@@ -12,9 +12,10 @@ from cyclic_env.errors import ConfigError
 
 @contextlib.contextmanager
 def atomic_write(path: str | Path) -> Iterator[Path]:
-    """Yield a path to write to, which becomes the file `path` once that is done; else what was there stays.
+    """Yield a path to write to, which replaces the file `path` at the end of the block.
 
-    It lies beside the file, has its suffix, and is this process's own. A device or a pipe is written to as it is.
+    If the block raises, the old file stays. The yielded path lies beside the file, has its suffix, and belongs to this
+    process alone. Devices and pipes are written to directly.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
     if path.exists() and not path.is_file():
         yield path
         return
-    path = Path(os.path.realpath(path))  # what a symbolic link points to is replaced, not the link
+    path = Path(os.path.realpath(path))  # replace the target of a symbolic link, not the link
     part = path.with_name(f".{path.stem[:40]}.{os.getpid()}.part{path.suffix}")
     try:
         yield part
@@ -44,7 +45,7 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
 
 def write_text_atomically(path: str | Path, text: str) -> Path:
-    """Write a text in UTF-8, all of it or nothing; return the path.
+    """Write a text in UTF-8, all of it or nothing, and return the path.
 
     Raises
     ------
@@ -57,17 +58,17 @@ def write_text_atomically(path: str | Path, text: str) -> Path:
 
 
 def check_writable(path: Path) -> None:
-    """Check, before hours of work, that the file can be written.
+    """Check that a file can be written, and make its folder.
 
     Raises
     ------
     ConfigError
-        If it can't.
+        If it can't be written.
     """
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.is_fifo():
-            return  # who opens it waits for a reader
+            return  # opening it would wait for a reader
         there = path.exists()
         path.open("a").close()
         if not there:
@@ -77,18 +78,18 @@ def check_writable(path: Path) -> None:
 
 
 def check_outputs(paths: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
-    """Check, before hours of work, that all files can be written, each its own, and none over what is read.
+    """Check that all files can be written, that no two of them are the same, and that none is an input.
 
     Raises
     ------
     ConfigError
-        If it is not so.
+        If one fails.
     """
     read, written = {path.resolve() for path in inputs}, set[Path]()
     for path in paths:
         check_writable(path)
         if path.resolve() in read:
-            raise ConfigError(f"{path} would be written over, but it is read; give another name or folder.")
+            raise ConfigError(f"{path} is read, and would be overwritten; give another name or folder.")
         if path.resolve() in written:
             raise ConfigError(f"{path} would be written twice; give each file a name of its own.")
         written.add(path.resolve())

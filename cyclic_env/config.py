@@ -1,86 +1,32 @@
-"""All settings, as frozen dataclasses that are checked when they are made.
+"""All settings of an environment: `EnvConfig` and its parts, frozen dataclasses that check their fields.
 
-Lengths are in metres, times in seconds, angles in radians unless a name ends in ``_deg``. Every class
-can be given to the environment as an instance or as a plain mapping of its fields (which is what an
-environment spec holds after a trip through JSON).
+Lengths are in metres, times in seconds, angles in radians unless a name ends in ``_deg``. Wherever one of these classes
+is expected, a mapping of some of its fields will do; the others keep their defaults.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from numbers import Integral, Real
-from typing import Any, Literal, TypeGuard, TypeVar
+from typing import Any, Literal, TypeVar, get_args
 
 import numpy as np
 
-from cyclic_env.errors import ConfigError, CyclicLoopError, short_repr, unknown_name
+from cyclic_env.errors import ConfigError
+from cyclic_env.validation import check_bool, check_choice, check_field, check_integer, check_number, unknown_name
 
 ActionType = Literal["wheels", "twist", "discrete"]
-ACTION_TYPES: tuple[ActionType, ...] = ("wheels", "twist", "discrete")
+ACTION_TYPES: tuple[ActionType, ...] = get_args(ActionType)
+
+NoisePreset = Literal["ideal", "calibrated", "typical", "poor"]
+
+STEP_BUDGET_MAX = 10_000_000
+
+DISTANCE_MAX = 1e5
+"""The greatest reading of the distance meter, forwards and backwards, m."""
 
 T = TypeVar("T")
-
-
-def _check(owner: object, condition: bool, field: str, expected: str) -> None:
-    if not condition:
-        got = short_repr(getattr(owner, field))
-        raise ConfigError(f"{type(owner).__name__}.{field} is {got}; expected {expected}.")
-
-
-def _check_number(owner: object, field: str, low: float, high: float = math.inf, *, open_low: bool = False) -> None:
-    value = getattr(owner, field)
-    try:
-        number = float(value) if isinstance(value, Real) and not isinstance(value, bool) else math.nan
-    except OverflowError:
-        number = math.nan
-    inside = math.isfinite(number) and (low < number if open_low else low <= number) and number <= high
-    bound = f"{'more than' if open_low else 'at least'} {low:g}" + (f", at most {high:g}" if high < math.inf else "")
-    _check(owner, inside, field, f"a finite number, {bound}")
-    object.__setattr__(owner, field, number)  # for the kernels: no fraction, nothing in single precision
-
-
-def _check_integer(owner: object, field: str, low: int, high: int) -> None:
-    value = getattr(owner, field)
-    _check(owner, is_integer(value) and low <= value <= high, field, f"a whole number from {low} to {high}")
-    object.__setattr__(owner, field, int(value))
-
-
-def is_integer(value: object) -> TypeGuard[int]:
-    """Tell whether the value is a whole number, of Python or NumPy; True and False are not."""
-    return isinstance(value, Integral) and not isinstance(value, bool)
-
-
-def check_choice(kind: str, name: T, known: Collection[T]) -> T:
-    """Return the name of a `kind` of thing.
-
-    Raises
-    ------
-    ConfigError
-        If it is not `known`; the message has the nearest.
-    """
-    if not isinstance(name, str) or name not in known:
-        raise ConfigError(unknown_name(kind, name, map(str, known)))
-    return name
-
-
-def as_array(value: Any, what: str, expected: str, error: type[CyclicLoopError]) -> np.ndarray:
-    """Return `value` as an array of real numbers of any shape; the message says `what` it is and what is `expected`.
-
-    Raises
-    ------
-    error
-        If it is none: complex, text, times, ragged, or with objects such as whole numbers beyond 64 bits.
-    """
-    try:
-        array = np.asarray(value)
-        if array.dtype.kind not in "biuf":
-            raise TypeError(f"its type is {array.dtype}")
-    except Exception as problem:  # other libraries' arrays raise what they like
-        reason = " ".join(str(problem).split())
-        raise error(f"{what} is not an array of numbers ({reason}); expected {expected}.") from problem
-    return array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,24 +34,27 @@ class RobotConfig:
     """A round differential-drive robot, by default a Pioneer P3-DX."""
 
     radius: float = 0.25
+    """Radius of the body, m."""
     axle_track: float = 0.40
+    """Distance between the wheels, m."""
     wheel_speed_max: float = 1.2
     """Full speed of a wheel, m/s."""
     wheel_time_constant: float = 0.15
     """First-order lag between the commanded and the actual wheel speed, s; 0 means none."""
     mass: float = 9.0
+    """Mass, kg."""
     dt: float = 0.2
     """Length of a control step, s."""
     substeps: int = 4
-    """Physics steps in a control step. A robot sinks into a wall by less than what it drives in one: 0.06 m."""
+    """Physics steps in a control step. A robot sinks into a wall by less than it drives in one of them: 0.06 m."""
 
     def __post_init__(self) -> None:
         for field in ("radius", "axle_track", "wheel_speed_max", "mass", "dt"):
-            _check_number(self, field, 1e-3, 1e3)
-        _check_number(self, "wheel_time_constant", 0.0)
-        _check_integer(self, "substeps", 1, 1000)
+            check_number(self, field, 1e-3, 1e3)
+        check_number(self, "wheel_time_constant", 0.0)
+        check_integer(self, "substeps", 1, 1000)
         advance = self.wheel_speed_max * self.dt / self.substeps
-        _check(
+        check_field(
             self,
             advance <= self.radius / 2,
             "substeps",
@@ -114,34 +63,61 @@ class RobotConfig:
 
     @property
     def advance_max(self) -> float:
-        """The longest way that the robot drives in a control step, metres."""
+        """The greatest distance that the robot can drive in a control step, m."""
         return self.wheel_speed_max * self.dt
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LaserConfig:
-    """A scanner with evenly spaced beams all around, by default an RPLIDAR A1; beam 0 points straight ahead."""
+    """A scanner with evenly spaced beams, by default an RPLIDAR A1, which sees all around.
+
+    Beam 0 of a laser that sees all around points where the laser does, straight ahead by default. With a smaller field
+    of view, beam 0 is its right edge and the last beam its left edge.
+    """
 
     num_beams: int = 180
+    """Number of beams, spread over the field of view."""
     range_max: float = 12.0
+    """The greatest range that the laser measures, m."""
+    field_of_view: float = 2 * math.pi
+    """Angle that the laser sees, radians; 2 pi means all around."""
+    mounting_angle: float = 0.0
+    """Angle from the robot's heading to where the laser points, counter-clockwise, radians."""
 
     def __post_init__(self) -> None:
-        _check_integer(self, "num_beams", 4, 7200)
-        _check_number(self, "range_max", 0.0, 1000.0, open_low=True)
+        check_integer(self, "num_beams", 4, 7200)
+        check_number(self, "range_max", 0.0, 1000.0, open_low=True)
+        check_number(self, "field_of_view", 0.0, 2 * math.pi, open_low=True)
+        check_number(self, "mounting_angle", -2 * math.pi, 2 * math.pi)
+
+    @property
+    def sees_all_around(self) -> bool:
+        """Whether the field of view is a full turn."""
+        return self.field_of_view == 2 * math.pi
 
     @property
     def beam_spacing(self) -> float:
         """Angle from one beam to the next, counter-clockwise, radians."""
-        return 2 * math.pi / self.num_beams
+        return self.field_of_view / (self.num_beams if self.sees_all_around else self.num_beams - 1)
+
+    @property
+    def first_bearing(self) -> float:
+        """Bearing of beam 0, the angle from the robot's heading to it, radians."""
+        return self.mounting_angle - (0.0 if self.sees_all_around else 0.5 * self.field_of_view)
+
+    @property
+    def bearings(self) -> np.ndarray:
+        """Bearing of every beam, radians, `(num_beams,)`."""
+        return self.first_bearing + self.beam_spacing * np.arange(self.num_beams)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseConfig:
-    """How far the three sensors err; the presets are in `NOISE_PRESETS`, all zeros is the paper's world.
+    """Errors of the three sensors; `NOISE_PRESETS` has the presets, and all zeros is the paper's world.
 
-    The laser's terms are those of the beam model (Thrun, Burgard and Fox, Probabilistic Robotics, 6.3):
-    with the given probabilities a range is cut short, reads the maximum, or is random; else it is the
-    true one with Gaussian noise.
+    The laser's terms are those of the beam model (Thrun, Burgard and Fox, Probabilistic Robotics, 6.3): with the given
+    probabilities a range is too short, reads the maximum, or is random; otherwise it is the true one with Gaussian
+    noise.
     """
 
     distance_scale: float = 0.0
@@ -159,16 +135,19 @@ class NoiseConfig:
     laser_sigma_relative: float = 0.0
     """Standard deviation of a range, as a share of the range; adds to `laser_sigma`."""
     laser_short: float = 0.0
+    """Probability that a range is cut short, to a uniform draw below the true one."""
     laser_max: float = 0.0
+    """Probability that a beam reads the laser's maximum."""
     laser_random: float = 0.0
+    """Probability that a range is a uniform draw up to the maximum."""
 
     def __post_init__(self) -> None:
         for field in ("distance_drift", "compass_white_deg", "compass_field_deg", "laser_sigma"):
-            _check_number(self, field, 0.0, 1e3)
+            check_number(self, field, 0.0, 1e3)
         for field in ("distance_scale", "laser_sigma_relative", "laser_short", "laser_max", "laser_random"):
-            _check_number(self, field, 0.0, 1.0)
-        _check_number(self, "compass_field_length", 1e-3)
-        _check(
+            check_number(self, field, 0.0, 1.0)
+        check_number(self, "compass_field_length", 1e-3)
+        check_field(
             self,
             self.laser_short + self.laser_max + self.laser_random <= 1.0,
             "laser_random",
@@ -218,90 +197,165 @@ NOISE_PRESETS: Mapping[str, NoiseConfig] = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ClosureConfig:
-    """What counts as being back, and which claims of it are judged; see `cyclic_env.task.loop_closure`."""
+    """What counts as a return, and which claims of one are judged; see `cyclic_env.task.loop_closure`."""
 
     return_radius: float = 3.0
-    """Greatest distance between two positions that are the same place."""
+    """Greatest distance between two positions that count as the same place, m."""
     gap: float = 20.0
-    """Least path length between leaving a place and being back."""
+    """Least path length between two visits of a place that makes the second one a return, m."""
     leave_radius: float = 10.0
-    """The robot must have been this far away in between."""
+    """How far away the robot must have been between the two visits, m."""
     event_gap: float = 2.0
-    """Runs of revisit steps less than this much path apart are one event."""
+    """Runs of fresh revisit steps with less than this length of path between them are one event, m."""
     event_length_min: float = 1.0
-    """Shorter events count neither way."""
+    """Events with a shorter path than this don't count, m."""
     claim_spacing: float = 2.0
-    """Path that must pass since the last judged claim before another is judged."""
+    """Path length after a judged claim before the next one is judged, m."""
+    sight_given: float = 0.0
+    """Two positions nearer to each other than this are in sight whatever walls lie between, m; for trajectories of real
+    robots, which don't fit a floor plan exactly."""
 
     def __post_init__(self) -> None:
-        _check_number(self, "return_radius", 0.1)
-        _check_number(self, "gap", 0.0, open_low=True)
-        for field in ("event_gap", "event_length_min", "claim_spacing"):
-            _check_number(self, field, 0.0)
-        _check_number(self, "leave_radius", self.return_radius, open_low=True)
+        check_number(self, "return_radius", 0.1)
+        check_number(self, "gap", 0.0, open_low=True)
+        for field in ("event_gap", "event_length_min", "claim_spacing", "sight_given"):
+            check_number(self, field, 0.0)
+        check_number(self, "leave_radius", self.return_radius, open_low=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CoverageConfig:
-    """How the building is divided into cells, and how often a scan marks what it has seen."""
+    """The cells in which coverage is counted, and how often a scan marks the cells that it sees."""
 
     cell_size: float = 0.5
+    """Side of a cell, m."""
     scan_spacing: float = 0.5
-    """Path length between two scans that mark cells."""
+    """Path length between two scans that mark cells, m; 0 means that every scan does."""
     complete: float = 0.99
     """Share of the cells that must be seen for success."""
 
     def __post_init__(self) -> None:
-        _check_number(self, "cell_size", 0.05)
-        _check_number(self, "scan_spacing", 0.0)
-        _check(
+        check_number(self, "cell_size", 0.05)
+        check_number(self, "scan_spacing", 0.0)
+        check_field(
             self,
             self.scan_spacing == 0 or self.scan_spacing >= 1e-3,
             "scan_spacing",
             "0 (every step) or at least 0.001",
         )
-        _check_number(self, "complete", 0.0, 1.0, open_low=True)
+        check_number(self, "complete", 0.0, 1.0, open_low=True)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RewardConfig:
-    """Weights of the reward's terms; a perfect run is worth 100 less its time."""
+    """Weights of the reward's terms; a perfect episode is worth 100 less its time."""
 
     coverage: float = 50.0
     """For seeing the whole free area; doubled where the plan has no cycle."""
     new_cycle: float = 50.0
     """For closing all cycles of the plan, in equal shares."""
     false_claim: float = -5.0
+    """For each false claim."""
     missed_revisit: float = -1.0
+    """For each revisit event that passes without a correct claim."""
     collision: float = -40.0
-    """For a whole step budget spent in contact with a wall."""
+    """For a whole step budget in contact with a wall."""
     time: float = -10.0
     """For a whole step budget."""
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            _check_number(self, field.name, -1e6, 1e6)
+        for name in self.__dataclass_fields__:
+            check_number(self, name, -1e6, 1e6)
 
 
-def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:
-    """Return `value` as an instance of the settings class `cls`.
-
-    Parameters
-    ----------
-    cls : type
-        One of the dataclasses of this module.
-    value : cls, mapping or None
-        An instance (returned as it is), some of the fields by name, or None for the defaults.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EnvConfig:
+    """All settings of an environment; `CyclicLoopEnv` and `CyclicLoopVectorEnv` take each of them as an argument, too.
 
     Raises
     ------
     ConfigError
-        If a field is unknown (the message names the nearest) or out of range.
+        If a setting is unknown, of the wrong type or out of range.
     """
-    if value is None:
-        return cls()
+
+    map_name: str | tuple[str, ...] = "killian_court"
+    """A shipped floor plan, a YAML file, or a generated building such as generated:cycles=4,seed=7. Of several, and of
+    the buildings of generated:train, every reset draws one."""
+    noise: NoisePreset | NoiseConfig | tuple[NoisePreset | NoiseConfig, ...] = "ideal"
+    """Errors of the sensors. Of several, every reset draws one for each robot."""
+    action_type: ActionType = "wheels"
+    """What an action says: two wheel speeds, a twist (v, omega), or one of five drives."""
+    random_start: bool = False
+    """Draw the start of an episode from all positions that the robot can reach; otherwise it is the plan's own."""
+    terminate_on_collision: bool = False
+    """End an episode at the first contact with a wall; the rest of its step budget is charged as time."""
+    step_budget: int | None = None
+    """Steps after which an episode is truncated. By default they are enough to drive through corridors 2 m wide that
+    have the plan's area, three times."""
+    robot: RobotConfig = RobotConfig()
+    laser: LaserConfig = LaserConfig()
+    closure: ClosureConfig = ClosureConfig()
+    coverage: CoverageConfig = CoverageConfig()
+    reward: RewardConfig = RewardConfig()
+
+    def __post_init__(self) -> None:
+        names = [self.map_name] if isinstance(self.map_name, str) else self.map_name
+        is_name = isinstance(names, list | tuple) and names and all(isinstance(name, str) and name for name in names)
+        check_field(self, bool(is_name), "map_name", "the name of a floor plan, or several")
+        check_choice("action type", self.action_type, ACTION_TYPES)
+        check_bool(self, "random_start")
+        check_bool(self, "terminate_on_collision")
+        if self.step_budget is not None:
+            check_integer(self, "step_budget", 1, STEP_BUDGET_MAX)
+        given: Any = self.noise
+        several = isinstance(given, list | tuple)
+        noise = tuple(given) if several else (given,)
+        check_field(self, len(noise) > 0, "noise", "a noise preset, a NoiseConfig, or several")
+        configs = [noise_from_name(one) for one in noise]
+        noise = tuple(one if isinstance(one, str) else config for one, config in zip(noise, configs, strict=True))
+        checked = {
+            "map_name": self.map_name if isinstance(self.map_name, str) else tuple(names),
+            "noise": noise if several else noise[0],
+            "robot": from_mapping(RobotConfig, self.robot),
+            "laser": from_mapping(LaserConfig, self.laser),
+            "closure": from_mapping(ClosureConfig, self.closure),
+            "coverage": from_mapping(CoverageConfig, self.coverage),
+            "reward": from_mapping(RewardConfig, self.reward),
+        }
+        for name, value in checked.items():
+            object.__setattr__(self, name, value)
+
+    @property
+    def sensor_noise(self) -> tuple[NoiseConfig, ...]:
+        """The sensors' errors, of which every reset draws one, also where `noise` has names of presets."""
+        return tuple(noise_from_name(one) for one in (self.noise if isinstance(self.noise, tuple) else (self.noise,)))
+
+    @property
+    def noise_name(self) -> str:
+        """The name of the noise preset, or ``"custom"``; several are joined by a plus sign."""
+        names = {preset: name for name, preset in NOISE_PRESETS.items()}
+        return "+".join(names.get(one, "custom") for one in self.sensor_noise)
+
+
+def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:
+    """Return `value` as an instance of a settings class.
+
+    Parameters
+    ----------
+    cls : type
+        `EnvConfig` or the class of one of its parts.
+    value : cls, mapping or None
+        An instance, some of the fields by name, or None for the defaults.
+
+    Raises
+    ------
+    ConfigError
+        If a field is unknown (the message suggests the nearest) or out of range.
+    """
     if isinstance(value, cls):
         return value
+    if value is None:
+        return cls()
     if not isinstance(value, Mapping):
         raise ConfigError(f"expected a {cls.__name__} or a mapping of its fields, got {type(value).__name__}.")
     known = {field.name for field in fields(cls)}  # pyright: ignore[reportArgumentType]
@@ -312,15 +366,13 @@ def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:
 
 
 def noise_from_name(noise: str | NoiseConfig | Mapping[str, Any] | None) -> NoiseConfig:
-    """Return the noise preset of that name, or `noise` itself where it already is a setting.
+    """Return the noise preset of that name, or `noise` itself if it is a NoiseConfig or a mapping of its fields.
 
     Raises
     ------
     ConfigError
-        If there is no such preset; the message lists them.
+        If there is no such preset (the message lists them all), or a field is wrong.
     """
-    if noise is None:
-        raise ConfigError(f"noise is None; expected a preset ({', '.join(NOISE_PRESETS)}) or a NoiseConfig.")
     if isinstance(noise, str):
         return NOISE_PRESETS[check_choice("noise preset", noise, NOISE_PRESETS)]
     return from_mapping(NoiseConfig, noise)

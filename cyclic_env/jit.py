@@ -1,4 +1,4 @@
-"""Compilation of the numeric kernels by numba: once for an installation and each change of it, then cached on disk."""
+"""Compilation of the numeric kernels by numba, once for each installation; the results are cached on disk."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ NOTICE_DELAY = 2.0
 
 
 def compiled(function: Callable[..., Any]) -> Any:
-    """Compile `function` at its first call, strictly IEEE (no fused or reordered operations), without the GIL.
+    """Compile `function` at its first call, with strict IEEE arithmetic and without the GIL.
 
-    Strictness makes a row of a batch bit-equal to a single robot, and the kernels equal to their NumPy twins.
-    Kernels make no arrays and keep none, so they count no references to them (`_nrt`): counting is atomic,
-    and made two threads on the same arrays slower than one.
+    No operations are fused or reordered, so that a row of a batch is bit-equal to a single robot, and the kernels equal
+    their NumPy twins. Kernels neither make nor keep arrays, so they need not count references (`_nrt`): counting is
+    atomic, and made two threads on the same arrays slower than one.
     """
     kernel: Any = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)  # pyright: ignore[reportCallIssue]
-    # numba's cache only asks whether a kernel's own file has changed, but kernels of other files are compiled into it.
+    # numba's cache notices changes of a kernel's own file only, but kernels of other files are compiled into it.
     kernel._cache._cache_file._source_stamp = _sources_digest(Path(function.__code__.co_filename))
     return kernel
 
 
 @cache
 def _sources_digest(file: Path) -> str:
-    """Return a digest of a source file and of all that it imports from its own package and this one."""
+    """Return a digest of a source file and of all files that it imports from its own package and from this one."""
     sources, waiting = set[Path](), [file.resolve()]
     while waiting:
         source = waiting.pop()
@@ -51,7 +51,7 @@ def _sources_digest(file: Path) -> str:
 
 @cache
 def _imported_files(file: Path) -> list[Path]:
-    """Return the files of the modules that a source file imports from its own package and this one."""
+    """Return the files of the modules that a source file imports from its own package and from this one."""
     root = file.parent
     while (root / "__init__.py").exists():
         root = root.parent
@@ -69,10 +69,10 @@ def inlined(function: Callable[..., Any]) -> Any:
 
 
 def _call_c(context: Any, address: Any, arguments: Any) -> Any:
-    """Call, from a kernel, the C function at an address, with a tuple of int64 (pointers, too) and float64.
+    """Call, from a kernel, the C function at an address with a tuple of int64 (or pointers) and float64.
 
-    It returns nothing. What Python's ways of calling cost is more than many such functions take; none of them may
-    need the GIL.
+    The call returns nothing, and the function must not need the GIL. Calls from Python cost more than many such
+    functions take.
     """
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:
@@ -94,7 +94,7 @@ def _say_compiling() -> None:
 
 @contextmanager
 def compile_notice() -> Iterator[None]:
-    """Tell the user, on stderr, if what runs inside takes long because kernels are being compiled."""
+    """Tell the user on stderr that kernels are being compiled, if the block takes long."""
     timer = threading.Timer(NOTICE_DELAY, _say_compiling)
     timer.daemon = True
     timer.start()

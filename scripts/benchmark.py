@@ -23,10 +23,8 @@ import platform
 import subprocess
 import tempfile
 import time
-from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
-from unittest import mock
 
 import gymnasium
 import numpy as np
@@ -41,10 +39,10 @@ from cyclic_env import ConfigError, CyclicLoopVectorEnv, FloorPlan, load_floor_p
 from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.config import LaserConfig, RobotConfig
 from cyclic_env.console import say
-from cyclic_env.engine.engine import step_rows
-from cyclic_env.simulation.lidar import beam_directions, scan, scan_row
+from cyclic_env.simulation.lidar import laser_beams, scan, scan_row
 from cyclic_env.simulation.physics import Simulation
 from cyclic_env.simulation.wall_index import build_wall_index
+from cyclic_env.task.path_history import allocate_memory
 
 ROOT = Path(__file__).resolve().parents[1]
 REPEATS = 5
@@ -83,10 +81,10 @@ class Row(NamedTuple):
 
 
 @njit(error_model="numpy")  # not cached: numba can't find a script's functions when it runs under another name
-def scan_all(tiles, poses, directions, range_max, scratch, ranges):
+def scan_all(tiles, poses, beams, scratch, ranges):
     """Scan from every pose, without the cost of a call from Python for each."""
     for i in range(poses.shape[0]):
-        scan_row(tiles, 0, poses[i, 0], poses[i, 1], poses[i, 2], directions, range_max, scratch, ranges[i])
+        scan_row(tiles, 0, poses[i, 0], poses[i, 1], poses[i, 2], beams, scratch, ranges[i])
 
 
 def best_time(function: Callable[[], Any], repeats: int = REPEATS) -> float:
@@ -119,9 +117,9 @@ def measure_laser() -> Iterator[Row]:
     """Time one scan of 180 beams on Killian Court, three ways."""
     plan, laser = load_floor_plan("killian_court"), LaserConfig()
     poses = free_poses(plan, 2000)
-    tiles, directions = build_wall_index(plan, laser.range_max), beam_directions(laser)
+    tiles, beams = build_wall_index(plan, laser.range_max), laser_beams(laser)
     scratch, ranges = np.empty(2 * laser.num_beams), np.empty((len(poses), laser.num_beams))
-    compiled_scan = best_time(lambda: scan_all(tiles, poses, directions, laser.range_max, scratch, ranges)) / len(poses)
+    compiled_scan = best_time(lambda: scan_all(tiles, poses, beams, scratch, ranges)) / len(poses)
     twin = best_time(lambda: [scan(plan.walls, pose, laser) for pose in poses[:50]]) / 50
     worst = max(float(abs(scan(plan.walls, pose, laser) - ranges[i]).max()) for i, pose in enumerate(poses[:200]))
 
@@ -224,52 +222,40 @@ def measure_pool() -> Iterator[Row]:
     yield Row("pool", "16 plans, N = 256", rate, "robot-steps/s", least=50_000)
 
 
+STAGES = {
+    "actions": "actions",
+    "drive": "drive (pymunk)",
+    "judge": "mark, judge, reward, info",
+    "sensors": "sensors",
+    "observation": "observation",
+}
+"""The stages of a step that the environment times, and what the table calls them."""
+
+
 def measure_phases() -> Iterator[Row]:
-    """Time the phases of a step at N = 256 on one core; the rest of it is the Python between them."""
-    with mock.patch("cyclic_env.engine.engine.num_cores", return_value=1):
-        env = CyclicLoopVectorEnv(256, "killian_court")
-        rate_of(env, driving_actions(256), 50)
-    engine, spent = env.engine, defaultdict(float)
-
-    def timed(phase: str, function: Callable[..., Any]) -> Callable[..., Any]:
-        def timed_function(*arguments: Any) -> Any:
-            begin = time.perf_counter()
-            result = function(*arguments)
-            spent[phase] += time.perf_counter() - begin
-            return result
-
-        return timed_function
-
-    runs, actions = [], driving_actions(256)
-    with (
-        mock.patch.object(engine, "_take_actions", timed("actions", engine._take_actions)),
-        mock.patch.object(engine.simulation, "drive_world", timed("drive (pymunk)", engine.simulation.drive_world)),
-        mock.patch("cyclic_env.engine.engine.step_rows", timed(JUDGE, step_rows)),
-        mock.patch.object(engine, "measure", timed("sensors", engine.measure)),
-        mock.patch.object(engine, "observation", timed("observation", engine.observation)),
-    ):
-        for _ in range(REPEATS):
-            spent.clear()
-            begin = time.perf_counter()
-            for action in actions:
-                env.step(action)
-            runs.append((time.perf_counter() - begin, dict(spent)))
-    total, phases = min(runs, key=lambda run: run[0])
-    poses = np.column_stack([engine.info["x"], engine.info["y"], engine.info["heading"]])
-    ranges = np.empty_like(engine.episodes.true_ranges)
-    buildings, scratch = engine.buildings, np.empty(2 * ranges.shape[1])
-    scans = best_time(
-        lambda: scan_all(buildings.tiles, poses, buildings.directions, buildings.range_max, scratch, ranges), 50
-    )
+    """Time the stages of a step at N = 256 on one core; the rest of it is the Python between them."""
+    env = CyclicLoopVectorEnv(256, "killian_court", num_threads=1)
+    actions = driving_actions(256)
+    rate_of(env, actions, 50)
+    runs = []
+    for _ in range(REPEATS):
+        timer = env.time_stages()
+        begin = time.perf_counter()
+        for action in actions:
+            env.step(action)
+        runs.append((time.perf_counter() - begin, timer.seconds))
+    total, seconds = min(runs, key=lambda run: run[0])
+    phases = {name: seconds[stage] for stage, name in STAGES.items()}
+    plan, laser, info = env.floor_plan(0), env.config.laser, env.info_records
+    poses = np.column_stack([info["x"], info["y"], info["heading"]])
+    tiles, beams = build_wall_index(plan, laser.range_max), laser_beams(laser)
+    scratch, ranges = np.empty(2 * laser.num_beams), np.empty((256, laser.num_beams))
+    scans = best_time(lambda: scan_all(tiles, poses, beams, scratch, ranges), 50)
     phases["laser"] = scans * len(actions)
-    phases[JUDGE] -= phases["laser"]
+    phases[STAGES["judge"]] -= phases["laser"]  # which is part of it
     phases["rest"] = total - sum(phases.values())
-    for phase, seconds in [*phases.items(), ("together", total)]:
-        yield Row("a step", f"one core, N = 256: {phase}", seconds / len(actions) / 256 * 1e6, "us a robot")
-
-
-JUDGE = "mark, judge, reward, info"
-"""The phase of a step that compiled code does for every row; the laser is within it."""
+    for phase, value in [*phases.items(), ("together", total)]:
+        yield Row("a step", f"one core, N = 256: {phase}", value / len(actions) / 256 * 1e6, "us a robot")
 
 
 def measure_stable_baselines() -> Iterator[Row]:
@@ -323,7 +309,8 @@ def measure_memory(steps: int) -> Iterator[Row]:
         "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
     )
     yield Row("memory", f"1,024 rows after {steps} steps", peak / 1e6, "GB", most=2)
-    memory = CyclicLoopVectorEnv(1024, "killian_court").engine.episodes.memory
+    env = CyclicLoopVectorEnv(1024, "killian_court")
+    memory = allocate_memory(env.floor_plan(0), env.num_envs, env.step_budget(0), env.config.closure)
     room = sum(array.nbytes for array in memory if isinstance(array, np.ndarray))
     yield Row("memory", "1,024 rows, their paths at the end of the longest episodes, at most", room / 1e9, "GB")
 

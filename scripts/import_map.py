@@ -1,4 +1,4 @@
-"""Make a floor plan of a map of ROS' map_server or of a picture, and look at it; or write a plan as such a map."""
+"""Import a map of ROS' map_server, or a picture, as a floor plan and look at it; or export a plan as such a map."""
 
 from __future__ import annotations
 
@@ -24,21 +24,24 @@ import numpy as np
 from cyclic_env import CyclicLoopError
 from cyclic_env.atomic_write import atomic_write, check_outputs
 from cyclic_env.console import say
-from cyclic_env.errors import ConfigError, short_repr
+from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import (
     FloorPlan,
     OccupancyGrid,
     Tracing,
     load_floor_plan,
-    rasterise,
+    rasterize,
     read_occupancy_grid,
     trace_floor_plan,
     write_floor_plan,
     write_occupancy_grid,
 )
-from cyclic_env.floor_plans.occupancy.grid import IMAGE_SUFFIXES, UNKNOWN
+from cyclic_env.floor_plans.occupancy.dropped import dropped_remark
+from cyclic_env.floor_plans.occupancy.grid import UNKNOWN
+from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES
 from cyclic_env.floor_plans.yaml_io import name_of, read_yaml
 from cyclic_env.rendering.colors import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
+from cyclic_env.validation import short_repr
 
 EXAMPLES = """examples:
   python scripts/import_map.py willow.yaml --out my_plan.yaml --figure my_plan.png
@@ -46,15 +49,15 @@ EXAMPLES = """examples:
   python scripts/import_map.py killian_court --export out/maps --resolution 0.05"""
 
 SIZES = {
-    "robot_radius": "metres; of the robot that must pass (default 0.25)",
-    "speck_area": "m2; isolated specks of wall that are smaller are dropped (default 0.04)",
+    "robot_radius": "metres; radius of the robot that must pass (default 0.25)",
+    "speck_area": "m2; isolated specks of wall smaller than this are dropped (default 0.04)",
     "gap": "metres; free space narrower than this is closed (default 0.2)",
-    "nook_area": "m2; free space that the robot can only see into is kept up to this size (default 0.5)",
-    "door": "metres; what was only looked into, through openings narrower than this, is closed (default 1.2)",
-    "tolerance": "metres by which simplified walls may be off (default 1.5 pixels)",
+    "nook_area": "m2; free space that the robot only sees into is kept up to this size (default 0.5)",
+    "door": "metres; what was only looked into through openings narrower than this is closed (default 1.2)",
+    "tolerance": "metres by which simplified walls may differ from the map (default 1.5 pixels)",
 }
 DOUBTFUL_SHARE = 0.25
-"""Of the plan's area; light grey of more is worth a remark."""
+"""Share of the plan's area from which light grey cells are mentioned."""
 FIGURE_DPI = 130
 EXPORT_RESOLUTION = 0.05
 
@@ -64,12 +67,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(
         description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("input", help="YAML of a map, a picture with dark walls, or, to export it, a floor plan")
+    parser.add_argument("input", help="YAML file of a map, a picture with dark walls, or a floor plan to export")
     parser.add_argument("--out", type=Path, metavar="FILE", help="write the floor plan as YAML")
     parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the map beside the floor plan")
     parser.add_argument("--export", type=Path, metavar="FOLDER", help="write the floor plan as a map of map_server")
     parser.add_argument(
-        "--resolution", type=float, metavar="M", help="metres a pixel, of a picture or of --export (there 0.05)"
+        "--resolution", type=float, metavar="M", help="metres per pixel of a picture, or of --export (default 0.05)"
     )
     parser.add_argument("--start", type=float, nargs=3, metavar=("X", "Y", "HEADING"), help="metres and radians")
     for name, text in SIZES.items():
@@ -96,72 +99,101 @@ def run(args: argparse.Namespace) -> list[Path]:
         If the input can't be read, or the options don't suit it.
     """
     if args.figure:
-        from cyclic_env.rendering.figures import check_figure  # before the work: it says what to do without matplotlib
+        from cyclic_env.rendering.figures import check_figure  # before the work, in case matplotlib is missing
 
         check_figure(args.figure)
-    inputs = [Path(args.input)]
-    check_outputs(filter(None, (args.out, args.figure)), inputs)
-    options = {name: value for name in SIZES if (value := getattr(args, name)) is not None}
-    grid: OccupancyGrid | None = None
+    source = Path(args.input)
+    check_outputs(filter(None, (args.out, args.figure)), [source])
     if is_map(args.input):
-        began = time.perf_counter()
-        picture = Path(args.input).suffix.lower() in IMAGE_SUFFIXES
-        if args.resolution is not None and not (picture or args.export):
-            raise ConfigError(
-                f"{args.input} says itself how large a pixel is; --resolution is for a picture or --export."
-            )
-        grid = read_occupancy_grid(args.input, args.resolution if picture else None)
-        inputs += [] if picture else [inputs[0].parent / read_yaml(inputs[0])["image"]]
-        seen = time.perf_counter()
-        try:
-            tracing = trace_floor_plan(grid, start=tuple(args.start) if args.start else None, **options)
-        except CyclicLoopError as error:
-            raise ConfigError(f"{args.input}: {error}") from error
-        plan = tracing.plan
-        if not plan.source:
-            name = name_of(inputs[0]) + inputs[0].suffix
-            plan = replace(plan, source=f"traced from {name} by scripts/import_map.py")
-        say(table(plan, grid, tracing, seen - began, time.perf_counter() - seen))
+        plan, grid = import_plan(args)
+        image = [] if is_picture(source) else [source.parent / read_yaml(source)["image"]]
     else:
-        if not args.export or args.start or options:
+        if not args.export or args.start or sizes(args):
             raise ConfigError(f"{args.input} is a floor plan already: give --export, and with it --resolution at most.")
-        plan = load_floor_plan(args.input)
+        plan, grid, image = load_floor_plan(args.input), None, []
         say(table(plan))
-    written = []
-    exports: list[Path] = []
-    exported: OccupancyGrid | None = None
-    if args.export:
-        if Path(plan.name).name != plan.name or not plan.name.isprintable():
-            raise ConfigError(
-                f"--export: the plan's name {short_repr(plan.name)} is no name of a file; change it in {args.input}."
-            )
-        exports = [args.export / f"{plan.name}{suffix}" for suffix in (".yaml", ".pgm")]
-        check_outputs(filter(None, (args.out, args.figure, *exports)), inputs)
-        resolution = args.resolution if args.resolution is not None else grid.resolution if grid else EXPORT_RESOLUTION
-        exported = rasterise(plan, resolution)
-        share = exported.free.sum() * resolution**2 / plan.free_area
-        say(
-            f"{'export':>10}  {exported.cells.shape[1]:,} x {exported.cells.shape[0]:,} pixels of {resolution:g} m, "
-            f"free {share:.1%} of the area"
-        )
+    exports = check_export(plan, args, [source, *image]) if args.export else []
+    exported = rasterize(plan, export_resolution(args, grid)) if args.export else None
+    if exported is not None:
+        share = exported.free.sum() * exported.resolution**2 / plan.free_area
+        rows, columns = exported.cells.shape
+        say(f"{'export':>10}  {columns:,} x {rows:,} pixels of {exported.resolution:g} m, free {share:.1%} of the area")
     if args.out:
         write_floor_plan(plan, args.out)
-        written.append(args.out)
     if args.figure:
         draw(plan, grid, args.figure)
-        written.append(args.figure)
     if exported is not None:
         write_occupancy_grid(exported, exports[0])
-        written += exports
-    return written
+    return [*filter(None, (args.out, args.figure)), *exports]
+
+
+def import_plan(args: argparse.Namespace) -> tuple[FloorPlan, OccupancyGrid]:
+    """Read the map or picture of the command line, trace it, and print the table of the result."""
+    source = Path(args.input)
+    if args.resolution is not None and not (is_picture(source) or args.export):
+        raise ConfigError(f"{source} itself states the size of a pixel; --resolution is for a picture or --export.")
+    began = time.perf_counter()
+    grid = read_occupancy_grid(source, args.resolution if is_picture(source) else None)
+    read = time.perf_counter()
+    try:
+        tracing = trace_floor_plan(grid, start=tuple(args.start) if args.start else None, **sizes(args))
+    except CyclicLoopError as error:
+        raise ConfigError(f"{source}: {error}") from error
+    plan = tracing.plan
+    if not plan.source:
+        plan = replace(plan, source=f"traced from {name_of(source)}{source.suffix} by scripts/import_map.py")
+    say(table(plan, grid, tracing, read - began, time.perf_counter() - read))
+    return plan, grid
+
+
+def sizes(args: argparse.Namespace) -> dict[str, float]:
+    """Return the sizes given on the command line."""
+    return {name: value for name in SIZES if (value := getattr(args, name)) is not None}
+
+
+def check_export(plan: FloorPlan, args: argparse.Namespace, inputs: Sequence[Path]) -> list[Path]:
+    """Return the files to export a plan to.
+
+    Raises
+    ------
+    ConfigError
+        If one of them can't be written.
+    """
+    if Path(plan.name).name != plan.name or not plan.name.isprintable():
+        raise ConfigError(
+            f"--export: the plan's name {short_repr(plan.name)} is no name of a file; change it in {args.input}."
+        )
+    exports = [args.export / f"{plan.name}{suffix}" for suffix in (".yaml", ".pgm")]
+    check_outputs(filter(None, (args.out, args.figure, *exports)), inputs)
+    return exports
+
+
+def export_resolution(args: argparse.Namespace, grid: OccupancyGrid | None) -> float:
+    """Return the resolution of an export: the one asked for, else that of the map, else the usual one."""
+    if args.resolution is not None:
+        return args.resolution
+    return grid.resolution if grid else EXPORT_RESOLUTION
+
+
+def is_picture(path: Path) -> bool:
+    """Tell whether a file is a picture by its name."""
+    return path.suffix.lower() in IMAGE_SUFFIXES
 
 
 def is_map(name: str) -> bool:
-    """Return whether a name is that of a map or a picture, and not of a floor plan."""
+    """Tell whether a name is that of a map or a picture rather than of a floor plan."""
     path = Path(name)
-    if path.suffix.lower() in IMAGE_SUFFIXES:
+    if is_picture(path):
         return True
-    data = read_yaml(path) if path.is_file() else None
+    if not path.exists() and not path.suffix:  # the name of a plan
+        return False
+    data = read_yaml(path)
+    if data is None:
+        raise ConfigError(f"{path} is an empty file; expected a map with the keys image, resolution and origin.")
+    if isinstance(data, Mapping) and not {"image", "exterior", "corridors"} & set(data):
+        raise ConfigError(
+            f"{path} is neither a map, which has a key `image`, nor a floor plan, which has `exterior` or `corridors`."
+        )
     return isinstance(data, Mapping) and "image" in data
 
 
@@ -172,7 +204,7 @@ def table(
     read_s: float = 0.0,
     traced_s: float = 0.0,
 ) -> str:
-    """Return what there is to say of a plan, and of how it was traced, one thing a line."""
+    """Describe a plan, and how it was traced, with one measure on each line."""
     west, south, east, north = plan.bounds
     lengths = ", ".join(f"{hole.exterior.length:,.0f}" for hole in plan.cycles)
     x, y, heading = plan.start
@@ -193,12 +225,12 @@ def table(
         )
         rows["time"] = f"read in {read_s:.2f} s, traced in {traced_s:.2f} s"
     if grid is not None:
-        rows |= {"look" if i == 0 else "and": note for i, note in enumerate(notes(plan, grid))}
+        rows |= {"look" if i == 0 else " " * i: note for i, note in enumerate(notes(plan, grid, tracing))}
     return "\n".join(f"{name:>10}  {value}" for name, value in rows.items())
 
 
-def notes(plan: FloorPlan, grid: OccupancyGrid) -> list[str]:
-    """Return what may be wrong with a plan traced from a grid, and what to do about it."""
+def notes(plan: FloorPlan, grid: OccupancyGrid, tracing: Tracing | None) -> list[str]:
+    """Say what may be wrong with a plan traced from a grid, and what to do about it."""
     remarks = []
     corners = grid.to_grid(plan.rings[0])
     if corners.min() < 0.5 or (grid.cells.shape[::-1] - corners).min() < 0.5:  # no wall of a cell between
@@ -212,11 +244,18 @@ def notes(plan: FloorPlan, grid: OccupancyGrid) -> list[str]:
             f"{grey:,.0f} m2 of light grey are unknown by free_thresh; if they are floor, as in a map of Cartographer, "
             "write 'mode: scale' into the map's YAML"
         )
+    if tracing is not None and (dropped := dropped_remark(tracing.dropped, plan.free_area)):
+        remarks.append(dropped)
+    if not plan.cycles:
+        remarks.append(
+            "no cycle was found: the robot can drive around nothing in a lap of 40 m or more; if there are loops, "
+            "their corridors may be closed by specks, or narrower than the robot (--robot-radius) or a door (--door 0)"
+        )
     return remarks
 
 
 def draw(plan: FloorPlan, grid: OccupancyGrid | None, path: Path) -> None:
-    """Write a figure of the plan, with its cycles numbered, and to its left the map that it was traced from."""
+    """Draw the plan with its cycles numbered, and to its left the map that it was traced from."""
     from matplotlib.transforms import Affine2D
 
     from cyclic_env.rendering.figures import add_legend, plan_figure
@@ -224,16 +263,16 @@ def draw(plan: FloorPlan, grid: OccupancyGrid | None, path: Path) -> None:
     cycles = "   ".join(f"cycle {i}: {hole.exterior.length:,.0f} m" for i, hole in enumerate(plan.cycles, 1))
     scores = f"{plan.free_area:,.0f} m2   {len(plan.walls):,} walls   {cycles or 'no cycles'}"
     figure, axes = plan_figure(plan, plan.title or plan.name, scores)
-    colour = {name: np.divide(rgb, 255) for name, rgb in (("cycle", RIGHT), ("start", AMBER), ("ink", INK))}
+    colors = {name: np.divide(rgb, 255) for name, rgb in (("cycle", RIGHT), ("start", AMBER), ("ink", INK))}
     for i, hole in enumerate(plan.cycles, 1):
-        axes.plot(*hole.exterior.xy, color=colour["cycle"], linewidth=1.2, label="cycle" if i == 1 else None)
+        axes.plot(*hole.exterior.xy, color=colors["cycle"], linewidth=1.2, label="cycle" if i == 1 else None)
         place = hole.representative_point()
         label = f"{i}\n{hole.exterior.length:,.0f} m"
-        axes.text(place.x, place.y, label, ha="center", va="center", fontsize=8, color=colour["cycle"])
+        axes.text(place.x, place.y, label, ha="center", va="center", fontsize=8, color=colors["cycle"])
     x, y, heading = plan.start
-    axes.plot(x, y, "o", markersize=6, markeredgecolor=colour["ink"], color=colour["start"], label="start")
+    axes.plot(x, y, "o", markersize=6, markeredgecolor=colors["ink"], color=colors["start"], label="start")
     ahead = 0.04 * np.ptp(axes.get_xlim()) * np.array([math.cos(heading), math.sin(heading)])
-    axes.annotate("", (x + ahead[0], y + ahead[1]), (x, y), arrowprops={"arrowstyle": "->", "color": colour["ink"]})
+    axes.annotate("", (x + ahead[0], y + ahead[1]), (x, y), arrowprops={"arrowstyle": "->", "color": colors["ink"]})
     add_legend(axes)
     if grid is not None:
         width, height = figure.get_size_inches()

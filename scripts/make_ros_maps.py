@@ -1,4 +1,4 @@
-"""Draw three buildings as maps of ROS' map_server: two as an architect would, one as a scanner leaves it."""
+"""Draw three buildings as maps of ROS' map_server: two like an architect, one like a laser scanner."""
 
 from __future__ import annotations
 
@@ -28,30 +28,30 @@ from shapely import Polygon
 from cyclic_env import CyclicLoopError
 from cyclic_env.atomic_write import check_outputs
 from cyclic_env.console import ProgressLine, say
-from cyclic_env.floor_plans import FloorPlan, OccupancyGrid, polygon_from_corridors, rasterise, write_occupancy_grid
+from cyclic_env.floor_plans import FloorPlan, OccupancyGrid, polygon_from_corridors, rasterize, write_occupancy_grid
 from cyclic_env.floor_plans.occupancy.grid import FREE, OCCUPIED, UNKNOWN
 
 RESOLUTION = 0.05
-"""Metres a pixel, as most scanned maps have it."""
+"""Metres per pixel, as in most scanned maps."""
 WALL, DOOR = 0.2, 1.1
-"""Metres; thickness and width."""
+"""Thickness of a wall and width of a door, metres."""
 
 BEAMS, RANGE_MAX, RANGE_SIGMA = 540, 16.0, 0.015
-"""Of the scanner; metres."""
+"""Beams of the scanner, their reach and noise, metres."""
 SCAN_SPACING = 0.5
-"""Metres walked from scan to scan."""
+"""Distance walked between two scans, metres."""
 OUTLIERS = 0.004
-"""Share of beams that come back from nowhere: from the air, or from beyond a wall."""
+"""Share of the beams that return from anywhere, such as from the air or from beyond a wall."""
 PEOPLE = 0.2
-"""Chance that somebody stands near the scanner, and is scanned."""
+"""Probability that somebody stands near the scanner and is scanned."""
 PANE, MULLION = 0.4, 0.15
-"""Metres; of the windows in outer walls, which a laser sees through, and of the posts between them."""
+"""Width of the windows in outer walls, which a laser sees through, and of the posts between them, metres."""
 YARD = 9.0
-"""Metres from the building to what a laser meets outside."""
+"""Distance from the building to what a laser meets outside, metres."""
 LEGS = 0.2
-"""Chair legs and the like in a square metre, at most 0.15 m thick."""
+"""Chair legs and the like per square metre, at most 0.15 m thick."""
 OCCUPIED_FROM = 0.25
-"""Share of the beams in a cell that ended there from which it is a wall."""
+"""Share of the beams in a cell from which it is a wall if they ended there."""
 
 Point = tuple[float, float]
 
@@ -93,7 +93,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def office_floor() -> OccupancyGrid:
-    """Return two blocks of offices with a ring of corridors around each."""
+    """Draw two blocks of offices with a ring of corridors around each."""
     model = building(
         "office_floor",
         "Two blocks with offices on both sides of the corridors",
@@ -108,11 +108,11 @@ def office_floor() -> OccupancyGrid:
             ((74, 38), (40, 38), 6.0, 4),
         ],
     )
-    return replace(rasterise(model.plan, RESOLUTION), start=None)
+    return replace(rasterize(model.plan, RESOLUTION), start=None)
 
 
 def hospital() -> OccupancyGrid:
-    """Return four courtyards, wards around them and a wing that ends, at an angle to the map's frame."""
+    """Draw four courtyards with wards around them and a wing that ends blindly, at an angle to the map's frame."""
     model = building(
         "hospital",
         "Four courtyards and a wing, at an angle",
@@ -127,11 +127,11 @@ def hospital() -> OccupancyGrid:
             ((104, 22), (84, 22), 6.0, 3),
         ],
     )
-    return replace(rasterise(model.plan, RESOLUTION), origin=(-40.0, 12.5, 0.3), start=None)
+    return replace(rasterize(model.plan, RESOLUTION), origin=(-40.0, 12.5, 0.3), start=None)
 
 
 def laboratory() -> OccupancyGrid:
-    """Return three blocks with laboratories along the windows, scanned on a walk through all of them."""
+    """Draw three blocks with laboratories along the windows, scanned on a walk through all of them."""
     model = building(
         "laboratory",
         "Three blocks with laboratories along the windows, as a scanner leaves it",
@@ -166,13 +166,13 @@ def building(
     ----------
     name, title : str
     width : float
-        Of the corridors, metres.
+        Width of the corridors, metres.
     lines : sequence of lines
-        The corridors' middles.
+        Centrelines of the corridors.
     rows : sequence of ((x, y), (x, y), depth, number)
-        Rooms to the left of the way between two points in the middle of a corridor, each with a door to it.
+        Rooms to the left of the way from one point of a centreline to another, each with a door to the corridor.
     furnished : bool
-        Whether each room has a bench along its far wall and a table.
+        Whether each room has a table, and a bench along its far wall.
     """
     parts, furniture, walk = [], [], [pair for line in lines for pair in pairwise(line)]
     near = width / 2 + WALL
@@ -212,11 +212,11 @@ def _box(frame: np.ndarray, west: float, east: float, south: float, north: float
 
 
 def scan(model: Building, rng: np.random.Generator) -> OccupancyGrid:
-    """Return a building as a scanner leaves it: through windows, with people, chair legs, noise and unseen corners.
+    """Scan a building: through windows, with people, chair legs, noise and unseen corners.
 
-    Cells that no beam passed are unknown, as are those beyond the last echo of a beam that never came back.
+    Cells that no beam passed are unknown, including those that only beams without an echo passed.
     """
-    clear = rasterise(model.plan, RESOLUTION)
+    clear = rasterize(model.plan, RESOLUTION)
     margin = round(YARD / RESOLUTION)
     corner = np.subtract(clear.origin[:2], YARD)
     solid = np.pad(clear.cells != FREE, margin, constant_values=True)
@@ -239,11 +239,11 @@ def scan(model: Building, rng: np.random.Generator) -> OccupancyGrid:
 
 
 def _seen_through(solid: np.ndarray) -> np.ndarray:
-    """Return which solid cells light passes: the yard, and the panes of windows in the outer wall."""
+    """Return which solid cells light passes through: the yard and the panes of windows in the outer wall."""
     inside = ndimage.binary_fill_holes(ndimage.binary_closing(~solid, iterations=round(WALL / RESOLUTION)))
     away, nearest = ndimage.distance_transform_edt(~inside, return_indices=True)
     row, column = np.indices(solid.shape)
-    above, beside = row != nearest[0], column != nearest[1]  # both at the building's corners, which are solid
+    above, beside = row != nearest[0], column != nearest[1]  # both hold at the corners of the building, which are solid
     pane = (above != beside) & ((np.where(above, column, row) * RESOLUTION) % (PANE + MULLION) < PANE)
     return ~inside & ((away * RESOLUTION > WALL) | pane)
 
@@ -251,7 +251,7 @@ def _seen_through(solid: np.ndarray) -> np.ndarray:
 def _add_scan(
     solid: np.ndarray, place: np.ndarray, hits: np.ndarray, passes: np.ndarray, rng: np.random.Generator
 ) -> None:
-    """Cast the beams of a scan from `place`, column and row, and count where they ended and what they passed."""
+    """Cast the beams of a scan from `place`, column and row, and count where they end and which cells they pass."""
     angles = 2 * math.pi * (np.arange(BEAMS) + rng.random()) / BEAMS
     steps = np.arange(1, int(RANGE_MAX / RESOLUTION) + 1)
     columns, rows = (

@@ -16,13 +16,13 @@ from collections.abc import Sequence
 
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopError, Recorder, map_names
 from cyclic_env.console import say
-from cyclic_env.errors import short_repr
 from cyclic_env.evaluation.rollout import format_rows, score_rows
+from cyclic_env.validation import short_repr
 from scripts.game.game import SHOWS, Play
 
-EPILOG = """keys: arrows or WASD drive, with Shift slowly; Space claims to be back at the ringed place of the own way,
-which is the nearest one left long enough ago, or one picked by a click on the way (right click: the nearest again); P
-pauses, R begins again, Esc ends."""
+EPILOG = """keys: arrows or WASD drive, with Shift slowly; Space claims to be back at the ringed place of your path, the
+nearest one that you left long enough ago, or one that you click on (right click: the nearest again); P pauses, R
+restarts, Esc quits. The clock starts when you first drive."""
 SPEED_MAX = 20.0
 
 
@@ -35,11 +35,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help=f"{', '.join(map_names())}, a file, or a building such as generated:seed=7 (default ring)",
     )
     parser.add_argument("--noise", default="ideal", help="ideal, calibrated, typical or poor (default ideal)")
-    parser.add_argument("--seed", type=int, default=0, help="of noise and random start (default 0)")
-    parser.add_argument("--random-start", action="store_true", help="draw the start (default: the plan's own)")
-    parser.add_argument("--show", default="robot", help=f"{' or '.join(SHOWS)} (default robot: what it has sensed)")
-    parser.add_argument("--speed", type=float, default=2.0, help="times real time (default 2)")
-    parser.add_argument("--record", type=Path, metavar="FILE", help="NPZ; each time from R on gets a number")
+    parser.add_argument("--seed", type=int, default=0, help="seed of the noise and the random start (default 0)")
+    parser.add_argument("--random-start", action="store_true", help="start anywhere (default: at the plan's start)")
+    parser.add_argument("--show", default="robot", help=f"{' or '.join(SHOWS)} (default robot: what it senses)")
+    parser.add_argument("--speed", type=float, default=2.0, help="speed relative to real time (default 2)")
+    parser.add_argument("--record", type=Path, metavar="FILE", help="record to an NPZ file; restarts are numbered")
     args = parser.parse_args(arguments)
     code = 0
     try:
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             recorder.save()
             say(scores(play))
             if recorder.path is not None and recorder.steps:
-                say(f"\nrecorded: {recorder.path}; see it again: python scripts/replay.py {recorder.path} --human")
+                say(f"\nrecorded: {recorder.path}; replay it: python scripts/replay.py {recorder.path} --human")
     except (CyclicLoopError, OSError) as error:
         print(f"play.py: {error}", file=sys.stderr)
         return 2
@@ -66,9 +66,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run(play: Play, speed: float) -> None:
-    """Show the play in a window, and let the keys drive it, until Esc or until the window is closed."""
+    """Show the game in a window and let the keys control it, until Esc or until the window is closed."""
     from cyclic_env.rendering.primitives import pygame
-    from cyclic_env.rendering.renderer import Window
+    from cyclic_env.rendering.window import Window
     from scripts.game.view import draw_play, play_size, play_view
 
     drives = {
@@ -84,8 +84,8 @@ def run(play: Play, speed: float) -> None:
         pygame.K_RSHIFT: "slow",
     }
     presses = {pygame.K_SPACE: play.claim, pygame.K_p: play.pause, pygame.K_r: play.restart}
-    steps_per_s = max(1, round(speed / play.core.engine.config.robot.dt))
-    window = Window(play_size(play), steps_per_s, "a person can't play without one.")
+    steps_per_s = max(1, round(speed / play.core.config.robot.dt))
+    window = Window(play_size(play), steps_per_s, "you can't play without one.")
     try:
         while window.is_open():
             for event in pygame.event.get():
@@ -102,7 +102,7 @@ def run(play: Play, speed: float) -> None:
                 elif event.type == pygame.MOUSEBUTTONDOWN and event.button == 3:
                     play.unpick()
                 elif event.type == pygame.WINDOWFOCUSLOST:
-                    play.held.clear()  # nobody will tell when the keys are let go
+                    play.held.clear()  # releases of keys go to another window now
             play.tick()
             window.show(draw_play(play))
     finally:
@@ -110,14 +110,8 @@ def run(play: Play, speed: float) -> None:
 
 
 def scores(play: Play) -> str:
-    """Return the scores, one a line."""
-    info = play.info
-    rows = {
-        **score_rows(info),
-        "return": f"{play.total:.1f}",
-        "steps": f"{play.steps:,}",
-    }
-    return format_rows(rows)
+    """Return the scores, one per line."""
+    return format_rows(score_rows(play.info) | {"return": f"{play.episode_return:.1f}", "steps": f"{play.steps:,}"})
 
 
 if __name__ == "__main__":

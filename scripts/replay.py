@@ -1,4 +1,4 @@
-"""Replay a recorded episode, say whether it is the same to the bit, and print its scores."""
+"""Replay a recorded episode, say whether it is equal to the bit, and print its scores."""
 
 from __future__ import annotations
 
@@ -19,8 +19,9 @@ from cyclic_env import CyclicLoopEnv, CyclicLoopError, RecordingError, read_reco
 from cyclic_env.atomic_write import check_outputs
 from cyclic_env.console import ProgressLine, say
 from cyclic_env.evaluation.rollout import format_rows, score_rows
-from cyclic_env.recording.recorder import Recording, Replay
-from cyclic_env.trajectory.io import ate
+from cyclic_env.recording.format import Recording
+from cyclic_env.recording.replay import Replay
+from cyclic_env.trajectory.metrics import ate
 
 if TYPE_CHECKING:
     from cyclic_env.rendering.gif import GifWriter
@@ -30,26 +31,26 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command; return its exit code: 0 if bit-equal, 1 if not, 2 for bad input, 130 after Ctrl-C."""
     parser = argparse.ArgumentParser(description=__doc__, epilog="Exit code: 0 bit-equal, 1 not, 2 bad input.")
     parser.add_argument("file", type=Path, metavar="FILE", help="recording of an episode, NPZ")
-    parser.add_argument("--gif", type=Path, metavar="FILE", help="write an animation of it")
-    parser.add_argument("--human", action="store_true", help="show it in a window, in real time")
+    parser.add_argument("--gif", type=Path, metavar="FILE", help="write an animation of the episode")
+    parser.add_argument("--human", action="store_true", help="show the episode in a window, in real time")
     args = parser.parse_args(arguments)
     progress = ProgressLine()
-    film: GifWriter | None = None
+    animation: GifWriter | None = None
     try:
         recording = read_recording(args.file)
         if args.gif is not None:
-            import cyclic_env.rendering.gif  # noqa: F401 (before the replay: it says what to do where something is missing)
+            import cyclic_env.rendering.gif  # noqa: F401 (fails before the replay if something is missing)
 
             check_outputs([args.gif], [args.file])
 
         def on_step(env: CyclicLoopEnv, step: int) -> None:
-            nonlocal film
+            nonlocal animation
             progress.show(f"step {step:,} of {recording.steps:,}")
             if args.gif is not None:
                 from cyclic_env.rendering.gif import GifWriter
 
-                film = GifWriter(env) if film is None else film
-                film.take(step, last=step == recording.steps)
+                animation = GifWriter(env) if animation is None else animation
+                animation.take(step, last=step == recording.steps)
 
         try:
             outcome = replay(recording, render_mode="human" if args.human else None, on_step=on_step)
@@ -58,32 +59,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
         finally:
             progress.clear()
         say(report(recording, outcome))
-        if film is not None:
-            film.write(args.gif)
+        if animation is not None:
+            animation.write(args.gif)
             say(f"\nwritten: {args.gif}")
     except (CyclicLoopError, OSError) as error:
         print(f"replay.py: {error}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("\nreplay.py: stopped before the end, so nothing is said or written.", file=sys.stderr)
+        print("\nreplay.py: stopped before the end; there is no result.", file=sys.stderr)
         return 130
     return 0 if outcome.equal else 1
 
 
 def report(recording: Recording, outcome: Replay) -> str:
-    """Return the verdict and the scores of the replay, one a line."""
+    """Return the verdict and the scores of the replay, one per line."""
     info, ended = outcome.info, recording.terminated or recording.truncated
-    off = {"dead reckoning": (recording.dead_reckoned[:, :2], recording.poses[:, :2])}
+    trajectories = {"dead reckoning": (recording.dead_reckoned[:, :2], recording.poses[:, :2])}
     for name, track in recording.tracks.items():
         if len(track) and (track[:, 0] >= 0).all() and (track[:, 0] <= recording.steps).all():
-            off[f"{name} track"] = (track[:, 1:3], recording.poses[track[:, 0].astype(int), :2])
+            trajectories[f"{name} track"] = (track[:, 1:3], recording.poses[track[:, 0].astype(int), :2])
     rows = {
         "map, sensors": f"{recording.map}, {recording.noise}, seed {recording.seed}",
         **score_rows(info),
-        "off, rms": ", ".join(f"{name} {ate(*pair):.2f} m" for name, pair in off.items()),
+        "ATE RMSE (m)": ", ".join(f"{name} {ate(*pair):.2f}" for name, pair in trajectories.items()),
         "return": f"{outcome.episode_return:.1f}",
         "collisions": f"{info['collisions']}",
-        "steps": f"{outcome.steps:,}" + ("" if ended else ", cut short"),
+        "steps": f"{outcome.steps:,}" + ("" if ended else ", stopped early"),
     }
     return f"{outcome.verdict()}\n{format_rows(rows)}"
 

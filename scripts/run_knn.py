@@ -17,20 +17,23 @@ import math
 import statistics
 import time
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba.core import event
 
 from agents.knn.config import DETECTORS, PRESETS, preset
-from agents.knn.explorer import KnnExplorer, Memory
+from agents.knn.explorer import KnnExplorer
+from agents.knn.policy import KnnPolicy
 from agents.knn.similarity import MEASURES
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, Recorder, Recording, __version__, map_names
 from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
 from cyclic_env.console import ProgressLine, say
 from cyclic_env.evaluation.rollout import format_rows, score_rows
-from cyclic_env.recording.recorder import write_recording
-from cyclic_env.trajectory.io import ate, write_g2o, write_tum
+from cyclic_env.recording.format import write_recording
+from cyclic_env.trajectory.io import write_g2o, write_tum
+from cyclic_env.trajectory.metrics import ate
 
 if TYPE_CHECKING:
     from cyclic_env.rendering.gif import GifWriter
@@ -73,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         from cyclic_env.rendering.gif import GifWriter
 
         changes = {name: value for name in ("detector", "measure") if (value := getattr(args, name)) is not None}
-        explorer = KnnExplorer(preset(args.preset, **changes))
+        explorer = KnnPolicy(preset(args.preset, **changes))
         render_mode = "human" if args.human else None
         env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start, render_mode=render_mode)
         exports = [] if args.export is None else [args.export / name for name in EXPORTS]
@@ -85,7 +88,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             return 130
         settings = {"preset": args.preset, "detector": explorer.config.detector, "measure": explorer.config.measure}
         settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
-        metrics = run.metrics() | settings | {"cyclic_env": __version__}
+        metrics = run.metrics() | settings | {"explorer": asdict(explorer.config), "cyclic_env": __version__}
         say(score_table(metrics))
         write_text_atomically(metrics_file, json.dumps(metrics, indent=1) + "\n")
         if args.export is not None:
@@ -121,8 +124,8 @@ class Run:
     ----------
     info : dict
         The last one.
-    memory : Memory or None
-        The explorer's; None before the first step.
+    memory : KnnExplorer or None
+        The explorer, with all that it remembers; None before the first step.
     total : float
         Of the rewards.
     terms : dict
@@ -142,7 +145,7 @@ class Run:
         self.recorder = recorder
         self.film = film
         self.info: dict[str, Any] = {}
-        self.memory: Memory | None = None
+        self.memory: KnnExplorer | None = None
         self.total = 0.0
         self.terms: dict[str, float] = {}
         self.steps = 0
@@ -158,7 +161,7 @@ class Run:
         assert isinstance(env, CyclicLoopEnv)
         return env
 
-    def drive(self, explorer: KnnExplorer, seed: int) -> None:
+    def drive(self, explorer: KnnPolicy, seed: int) -> None:
         """Run the episode to its end, or up to Ctrl-C."""
         progress = ProgressLine()
         compiled = event.RecordingListener()
@@ -186,7 +189,7 @@ class Run:
                     self.ending = "success"
                 elif truncated:
                     self.ending = "step budget spent"
-                elif self.memory.done and self.stopped_at is None:
+                elif state[0].done and self.stopped_at is None:
                     self.stopped_at = self.steps
                 progress.show(
                     f"step {self.steps:,}: {self.info['coverage']:.0%} seen, {self.info['cycles_closed']} of "
@@ -203,8 +206,8 @@ class Run:
     def recording(self) -> Recording:
         """Return the recording, with the explorer's corrected track: its places as they are after all corrections."""
         assert self.memory is not None
-        places, start = self.memory.places, self.env.trajectory()[0, :2]
-        corrected = np.column_stack([places.step, places.pose[:, :2] + start, places.pose[:, 2]])
+        keyframes, start = self.memory.keyframes, self.env.trajectory()[0, :2]
+        corrected = np.column_stack([keyframes.step, keyframes.pose[:, :2] + start, keyframes.pose[:, 2]])
         return self.recorder.recording({"corrected": corrected})
 
     def metrics(self) -> dict[str, Any]:
@@ -223,9 +226,9 @@ class Run:
             "stopped_at": self.stopped_at,
             "path_over_tour": None if math.isnan(tour) else self.info["path_length_m"] / tour,
             "groups": len(self.memory.groups),
-            "rows": self.memory.places.count,
-            "rows_compared": self.memory.detector.compared,
-            "open_areas": len(self.memory.areas.listed),
+            "rows": self.memory.keyframes.count,
+            "rows_compared": self.memory.detector.vote.compared,
+            "open_areas": len(self.memory.frontiers.listed),
             **track_errors(self.recording()),
             "seconds_per_step_env": None if watched else mean(self.env_s),
             "seconds_per_step_agent": mean(self.agent_s),
@@ -261,7 +264,7 @@ def track_errors(recording: Recording) -> dict[str, float | None]:
 def export(run: Run, folder: Path) -> None:
     """Write the files of `EXPORTS` into a folder."""
     assert run.memory is not None
-    recording, track = run.recording(), run.memory.track
+    recording, tracker = run.recording(), run.memory.tracker
     corrected = recording.tracks["corrected"]
     write_recording(recording, folder / "episode.npz")
     write_tum(folder / "true.tum", recording.times, recording.poses)
@@ -270,9 +273,9 @@ def export(run: Run, folder: Path) -> None:
     write_g2o(
         folder / "pose_graph.g2o",
         corrected[:, 1:],
-        track.edges,
-        track.heading_information,
-        run.memory.places.compass,
+        tracker.edges,
+        tracker.heading_information,
+        run.memory.keyframes.compass,
     )
 
 
@@ -310,14 +313,8 @@ def score_table(metrics: dict[str, Any]) -> str:
 
 def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
     """Write the figure of a run: true path, groups, open areas and claims, all where they truly were."""
-    from cyclic_env.rendering.figures import (
-        add_legend,
-        draw_claims,
-        draw_groups,
-        draw_open_areas,
-        draw_path,
-        plan_figure,
-    )
+    from agents.knn.plotting import draw_groups, draw_open_areas
+    from cyclic_env.rendering.figures import add_legend, draw_claims, draw_path, plan_figure
 
     assert run.memory is not None
     plan, way, memory = run.env.floor_plan, run.env.trajectory(), run.memory
@@ -332,11 +329,11 @@ def draw_run(run: Run, metrics: dict[str, Any], path: Path) -> None:
         scores[-1] += f" ({metrics['path_over_tour']:.2f} tours)"
     scores.append(f"{metrics['noise']} sensors, {metrics['preset']}, {metrics['detector']}")
     figure, axes = plan_figure(plan, plan.title or plan.name, "   ".join(scores))
-    places = way[memory.places.step, :2]
+    rows = way[memory.keyframes.step, :2]
     draw_path(axes, way)
-    draw_groups(axes, [(group.name, group.direction, places[group.rows]) for group in memory.groups])
-    areas = memory.areas.listed
-    positions = np.array([places[area.place] + area.offset for area in areas]).reshape(-1, 2)
+    draw_groups(axes, [(group.name, group.direction, rows[group.rows]) for group in memory.groups])
+    areas = memory.frontiers.listed
+    positions = np.array([rows[area.keyframe] + area.offset for area in areas]).reshape(-1, 2)
     draw_open_areas(axes, positions, [area.number for area in areas], [area.state for area in areas])
     draw_claims(axes, way, run.env.claims())
     add_legend(axes)

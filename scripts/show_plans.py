@@ -1,4 +1,4 @@
-"""Measure floor plans, shipped, generated or your own: cycles, area, tour, walls, aliasing; draw them side by side."""
+"""Measure floor plans and draw them side by side: cycles, area, tour, walls and perceptual aliasing."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ EXAMPLES = """examples:
   python scripts/show_plans.py ring twin_rings generated:cycles=4,seed=7,aliasing=1
   python scripts/show_plans.py generated:validation --out out/validation.png --json out/validation.json
 
-Aliasing is the share of a building's places that have a look-alike more than 20 m away; the figure marks them."""
+Aliasing is the share of a building's places that look like a place more than 20 m away; the figure marks them."""
 
 
 class Row(NamedTuple):
-    """What is measured of a plan; metres and square metres. The tour is None where its corridors are not known."""
+    """The measures of a plan, in metres and square metres; the tour is None if the corridors are unknown."""
 
     plan: str
     cycles: int
@@ -44,6 +44,10 @@ class Row(NamedTuple):
     closed_tour: float | None
     walls: int
     aliasing: float
+
+
+Measurement = tuple[Row, np.ndarray]
+"""The measures of a plan, and its aliased places, `(n, 2)`."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -57,52 +61,30 @@ def main(arguments: Sequence[str] | None = None) -> int:
         metavar="MAP",
         help=f"{', '.join(map_names())}, generated:..., or a file; see maps/README.md",
     )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="draw the plans, and mark the places with look-alikes")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="draw the plans, and mark their aliased places")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to a file")
     args = parser.parse_args(arguments)
     plans: list[FloorPlan] = []
-    rows: list[Row] = []
-    marked: list[np.ndarray] = []
+    measurements: list[Measurement] = []
     code = 0
     try:
         if args.out:
-            from cyclic_env.rendering.figures import (
-                check_figure,  # before the work: it says what to do without matplotlib
-            )
+            from cyclic_env.rendering.figures import check_figure  # before the work, in case matplotlib is missing
 
             check_figure(args.out)
         check_outputs(filter(None, (args.out, args.json)), map(Path, args.names))
         plans.extend(load_floor_plans(args.names))
-        progress = ProgressLine()
-        for plan in plans:
-            done = f"{len(rows)} of {len(plans)} plans measured"
-            progress.show(f"{plan.name}: {done}")
-
-            def compared(count: int, total: int, text: str = f"places of {plan.name}, {done}") -> None:
-                progress.show(f"{count:,} of {total:,} {text}")
-
-            row, places = measured(plan, compared)
-            rows.append(row)
-            marked.append(places)
-        progress.clear()
+        measure_all(plans, measurements)
     except (CyclicLoopError, OSError) as error:
         print(f"show_plans.py: {error}", file=sys.stderr)
         code = 2
     except KeyboardInterrupt:
-        print(f"\nshow_plans.py: stopped after {len(rows)} of {len(plans)} plans.", file=sys.stderr)
+        print(f"\nshow_plans.py: stopped after {len(measurements)} of {len(plans)} plans.", file=sys.stderr)
         code = 130
-    if not rows:
+    if not measurements:
         return code
-    say(table(rows))
     try:
-        if args.json:
-            write_text_atomically(args.json, json.dumps([row._asdict() for row in rows], indent=1) + "\n")
-        if args.out:
-            from cyclic_env.rendering.figures import contact_sheet
-
-            figure = contact_sheet(plans[: len(rows)], [caption(row) for row in rows], marked)
-            with atomic_write(args.out) as part:
-                figure.savefig(part, dpi=FIGURE_DPI)
+        write(plans, measurements, args.json, args.out)
     except OSError as error:
         print(f"show_plans.py: can't write the files: {error}", file=sys.stderr)
         return 2
@@ -112,10 +94,40 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return code
 
 
-def measured(plan: FloorPlan, progress: Callable[[int, int], None] | None = None) -> tuple[Row, np.ndarray]:
-    """Return the measures of a plan, and its places that have a look-alike, `(n, 2)`."""
+def measure_all(plans: Sequence[FloorPlan], measurements: list[Measurement]) -> None:
+    """Add the measurements of plans to a list one by one, and show progress."""
+    progress = ProgressLine()
+    for i, plan in enumerate(plans):
+        done = f"{i} of {len(plans)} plans measured"
+        progress.show(f"{plan.name}: {done}")
+
+        def compared(count: int, total: int, text: str = f"places of {plan.name}, {done}") -> None:
+            progress.show(f"{count:,} of {total:,} {text}")
+
+        measurements.append(measured(plan, compared))
+    progress.clear()
+
+
+def write(
+    plans: Sequence[FloorPlan], measurements: Sequence[Measurement], json_file: Path | None, figure_file: Path | None
+) -> None:
+    """Print the table of the measured plans, and write the files that are asked for."""
+    rows, aliased = zip(*measurements, strict=True)
+    say(table(rows))
+    if json_file:
+        write_text_atomically(json_file, json.dumps([row._asdict() for row in rows], indent=1) + "\n")
+    if figure_file:
+        from cyclic_env.rendering.figures import contact_sheet
+
+        figure = contact_sheet(plans[: len(rows)], [caption(row) for row in rows], aliased)
+        with atomic_write(figure_file) as part:
+            figure.savefig(part, dpi=FIGURE_DPI)
+
+
+def measured(plan: FloorPlan, progress: Callable[[int, int], None] | None = None) -> Measurement:
+    """Measure a plan; `progress` is called with the number of places compared so far, and of all."""
     with compile_notice():
-        looks = perceptual_aliasing(plan, progress=progress)
+        result = perceptual_aliasing(plan, progress=progress)
     tour = plan.closed_tour()
     row = Row(
         plan=plan.name,
@@ -123,13 +135,13 @@ def measured(plan: FloorPlan, progress: Callable[[int, int], None] | None = None
         free_area=plan.free_area,
         closed_tour=None if math.isnan(tour) else tour,
         walls=len(plan.walls),
-        aliasing=looks.share,
+        aliasing=result.share,
     )
-    return row, looks.places[looks.alike]
+    return row, result.positions[result.aliased]
 
 
 def table(rows: Sequence[Row]) -> str:
-    """Return the rows as a table, and the mean aliasing below those of several plans."""
+    """Format the rows as a table, with the mean aliasing of several plans in the last line."""
     width = max(len("mean"), *(len(row.plan) for row in rows))
     lines = [f"{'plan':<{width}}  cycles  area (m2)  closed tour (m)  walls  aliasing"]
     for row in rows:
@@ -142,7 +154,7 @@ def table(rows: Sequence[Row]) -> str:
 
 
 def caption(row: Row) -> str:
-    """Return what stands above a plan in the figure."""
+    """Format the caption of a plan in the figure."""
     name = row.plan.replace(",", ", ").replace("generated:", "")
     return f"{name}\ncycles: {row.cycles}, {row.free_area:,.0f} m2, aliasing {row.aliasing:.2f}"
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib
 import types
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,3 +25,30 @@ def bumping_actions(steps: int, num_robots: int, seed: int = 0) -> np.ndarray:
     actions[..., :2] = drives
     actions[..., 2] = rng.choice([-1, -1, -1, 1], (steps, num_robots))
     return actions
+
+
+def roll_out(env: Any, actions: np.ndarray, seed: int | None) -> list[tuple[Any, ...]]:
+    """Reset and step a single env, beginning anew when an episode ends; return all that it returned."""
+    rollout: list[tuple[Any, ...]] = [env.reset(seed=seed)]
+    for action in actions:
+        rollout.append(env.step(action))
+        if rollout[-1][2] or rollout[-1][3]:
+            rollout.append(env.reset())
+    return rollout
+
+
+def assert_same(a: Any, b: Any) -> None:
+    """Assert that two structures of dicts, tuples, arrays and scalars are equal to the bit, types included."""
+    assert type(a) is type(b)
+    if isinstance(a, dict):
+        assert a.keys() == b.keys()
+        for key in a:
+            assert_same(a[key], b[key])
+    elif isinstance(a, list | tuple):
+        assert len(a) == len(b)
+        for x, y in zip(a, b, strict=True):
+            assert_same(x, y)
+    elif isinstance(a, np.ndarray) and a.dtype == object:
+        assert_same(a.tolist(), b.tolist())
+    else:
+        np.testing.assert_array_equal(a, b, strict=True)

@@ -1,181 +1,242 @@
-"""A grid around the robot, drawn from the scans nearby, and the shortest ways over it."""
+"""A grid around the robot, drawn from the scans nearby, and the cheapest paths over it."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from agents.settings import ComponentConfig, kernel_tuple, pack
 from agents.slam.scan_filters import SHORT_OF_REACH
 from cyclic_env.jit import compiled
 
-CELL = 0.2
-"""Metres: less than the robot's radius, so that a doorway is some cells wide."""
-CELLS = 128
-"""Cells to a side: a little more than the laser's reach to all sides."""
-CLEARANCE = 0.28
-"""Metres between the centres of a cell that the robot may be in and one with a wall."""
-COMFORT = 0.7
-"""Metres from walls up to which a way costs more, so that it keeps to the middle."""
-DRIVEN_COST = 3.0
-"""Of a metre where the robot has been, whatever scans say of walls there: it always knows the way that it came."""
-NEAR = 0.7
-"""Metres from a point to the end of a way to it: the point may be by a wall."""
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CostmapConfig(ComponentConfig):
+    """The grid, and what a metre costs where; lengths in metres."""
+
+    cell: float = 0.2
+    """Less than the robot's radius, so that a doorway is some cells wide."""
+    cells: int = 128
+    """To a side: a little more than the laser's reach to all sides."""
+    beam_step: float = 0.7
+    """Cells between the points of a beam that are marked as free."""
+    beam_margin: float = 0.1
+    """How far before its endpoint a beam is no more marked as free."""
+    wall_depth: float = 0.05
+    """How far behind an endpoint the wall's cell is: the surface is the near side of the wall."""
+    passes_per_hit: int = 3
+    """Beams that pass a cell for each that ends in it, from which these ends are taken for noise."""
+    clearance: float = 0.28
+    """Distance between the centers of a cell that the robot may be in and one with a wall: its radius, and some air."""
+    comfort: float = 0.7
+    """Distance from walls up to which a path costs more, so that it keeps to the middle."""
+    comfort_cost: float = 1.5
+    """How much more, at a wall."""
+    driven_cost: float = 3.0
+    """Of a metre where the robot has been, whatever scans say of walls there: it always knows the way that it came."""
+    escape_cells: int = 2
+    escape_cost: float = 10.0
+    """If the robot is where it can't be, it gets out within so many cells, at this cost of a metre."""
+    end_radius: float = 0.7
+    """Distance from a point to the end of a path to it: the point may be by a wall."""
+
+
+CostmapValues = kernel_tuple("CostmapValues", CostmapConfig, __name__)
+
+
+class Grid(NamedTuple):
+    """Arrays of a costmap, `(cells, cells)`, indexed [row, column], and its south-western corner, `(2,)`, metres."""
+
+    corner: np.ndarray
+    passes: np.ndarray
+    """Beams that cross each cell."""
+    hits: np.ndarray
+    """Beams that end in it."""
+    cost: np.ndarray
+    """Of a metre; inf where the robot can't be."""
+    costs_to_go: np.ndarray
+    """Of the cheapest path from the middle."""
+    predecessors: np.ndarray
+    """The cell before each on that path, as a flat index; -1 where there is none."""
 
 
 @compiled
-def draw_scan(ranges, range_max, x, y, heading, left, bottom, passes, ends):
-    """Count in `passes` and `ends` `(CELLS, CELLS)`, indexed [row, column], the cells that beams cross and end in.
-
-    (left, bottom) is the grid's corner.
-    """
-    n = ranges.shape[0]
+def draw_scan(grid, ranges, range_max, pose, values):
+    """Count the cells that the beams of a scan cross and end in."""
+    n, cells = ranges.shape[0], grid.passes.shape[0]
     spacing = 2 * math.pi / n
     for k in range(n):
-        angle = heading + k * spacing
-        cos, sin = math.cos(angle) / CELL, math.sin(angle) / CELL
-        x0, y0 = (x - left) / CELL, (y - bottom) / CELL
+        angle = pose[2] + k * spacing
+        cos, sin = math.cos(angle) / values.cell, math.sin(angle) / values.cell
+        x0, y0 = (pose[0] - grid.corner[0]) / values.cell, (pose[1] - grid.corner[1]) / values.cell
         r = ranges[k]
-        step = 0.0
-        while step < r - 0.1:
-            i, j = math.floor(y0 + step * sin), math.floor(x0 + step * cos)
-            if 0 <= i < CELLS and 0 <= j < CELLS:
-                passes[i, j] += 1
-            step += 0.7 * CELL
+        along = 0.0
+        while along < r - values.beam_margin:
+            i, j = math.floor(y0 + along * sin), math.floor(x0 + along * cos)
+            if 0 <= i < cells and 0 <= j < cells:
+                grid.passes[i, j] += 1
+            along += values.beam_step * values.cell
         if r < range_max - SHORT_OF_REACH:
-            r += 0.05  # the surface is the near side of the wall
+            r += values.wall_depth
             i, j = math.floor(y0 + r * sin), math.floor(x0 + r * cos)
-            if 0 <= i < CELLS and 0 <= j < CELLS:
-                ends[i, j] += 1
+            if 0 <= i < cells and 0 <= j < cells:
+                grid.hits[i, j] += 1
 
 
 @compiled
-def classify(passes, ends, cost):
-    """Write into `cost` `(CELLS, CELLS)` what a metre through each cell costs; inf where the robot can't be."""
-    reach = int(COMFORT / CELL) + 1
-    for i in range(CELLS):
-        for j in range(CELLS):
+def inflate(grid, values):
+    """Write the cost of each cell: free where beams have passed, dearer near walls, inf at walls and where unseen."""
+    passes, hits, cost, cells = grid.passes, grid.hits, grid.cost, grid.passes.shape[0]
+    reach = int(values.comfort / values.cell) + 1
+    for i in range(cells):
+        for j in range(cells):
             cost[i, j] = 1.0 if passes[i, j] > 0 else math.inf
-    for i in range(CELLS):
-        for j in range(CELLS):
-            # A beam that grazes a wall passes its cells too; a stray end in free space is noise.
-            if ends[i, j] == 0 or (3 * ends[i, j] < passes[i, j]):
+    for i in range(cells):
+        for j in range(cells):
+            # A beam that grazes a wall passes its cells, too; a stray end in free space is noise.
+            if hits[i, j] == 0 or (values.passes_per_hit * hits[i, j] < passes[i, j]):
                 continue
-            for a in range(max(0, i - reach), min(CELLS, i + reach + 1)):
-                for b in range(max(0, j - reach), min(CELLS, j + reach + 1)):
-                    distance = CELL * math.sqrt((a - i) ** 2 + (b - j) ** 2)
-                    if distance <= CLEARANCE:
+            for a in range(max(0, i - reach), min(cells, i + reach + 1)):
+                for b in range(max(0, j - reach), min(cells, j + reach + 1)):
+                    distance = values.cell * math.sqrt((a - i) ** 2 + (b - j) ** 2)
+                    if distance <= values.clearance:
                         cost[a, b] = math.inf
-                    elif distance < COMFORT:
-                        cost[a, b] = max(cost[a, b], 1.0 + 1.5 * (COMFORT - distance) / COMFORT)
+                    elif distance < values.comfort:
+                        more = values.comfort_cost * (values.comfort - distance) / values.comfort
+                        cost[a, b] = max(cost[a, b], 1.0 + more)
 
 
 @compiled
-def clear_driven(legs, left, bottom, cost):
-    """Let the robot be, in `cost`, wherever it has driven: on straight legs `(n, 2, 2)`, metres."""
+def clear_driven(grid, legs, values):
+    """Let the robot be wherever it has driven: on straight legs `(n, 2, 2)`, metres."""
+    cells, left, bottom = grid.cost.shape[0], grid.corner[0], grid.corner[1]
     for k in range(legs.shape[0]):
-        x, y = (legs[k, 0, 0] - left) / CELL, (legs[k, 0, 1] - bottom) / CELL
-        dx, dy = (legs[k, 1, 0] - legs[k, 0, 0]) / CELL, (legs[k, 1, 1] - legs[k, 0, 1]) / CELL
+        x, y = (legs[k, 0, 0] - left) / values.cell, (legs[k, 0, 1] - bottom) / values.cell
+        dx, dy = (legs[k, 1, 0] - legs[k, 0, 0]) / values.cell, (legs[k, 1, 1] - legs[k, 0, 1]) / values.cell
         steps = int(2 * math.sqrt(dx * dx + dy * dy)) + 1
         for step in range(steps + 1):
             i, j = math.floor(y + dy * step / steps), math.floor(x + dx * step / steps)
-            if 0 <= i < CELLS and 0 <= j < CELLS:
-                cost[i, j] = min(cost[i, j], DRIVEN_COST)
+            if 0 <= i < cells and 0 <= j < cells:
+                grid.cost[i, j] = min(grid.cost[i, j], values.driven_cost)
 
 
 @compiled
-def spread_ways(cost, row, column, lengths, before, queue, waiting):
-    """Write the least costs of ways from a cell to all others, and the cell before each on its way, as flat indices.
+def cost_to_go(grid, queue, waiting, values):
+    """Write the cost of the cheapest path from the middle to each cell, and the cell before it on that path.
 
-    `lengths` and `before` are `(CELLS, CELLS)`; `queue` `(CELLS**2,)` and `waiting` `(CELLS, CELLS)` are scratch. If
-    the robot is where it can't be, its ways lead out of there first.
+    `queue` `(cells**2,)` and `waiting` `(cells, cells)` are scratch.
     """
-    for i in range(CELLS):
-        for j in range(CELLS):
-            lengths[i, j] = math.inf
-            before[i, j] = -1
+    cost, costs_to_go, predecessors = grid.cost, grid.costs_to_go, grid.predecessors
+    cells = cost.shape[0]
+    for i in range(cells):
+        for j in range(cells):
+            costs_to_go[i, j] = math.inf
+            predecessors[i, j] = -1
             waiting[i, j] = False
-    lengths[row, column] = 0.0
-    size = CELLS * CELLS
-    queue[0], head, count = row * CELLS + column, 0, 1
+    row = column = cells // 2
+    costs_to_go[row, column] = 0.0
+    size = cells * cells
+    queue[0], head, count = row * cells + column, 0, 1
     while count > 0:
         cell = queue[head]
         head = (head + 1) % size
         count -= 1
-        i, j = cell // CELLS, cell % CELLS
+        i, j = cell // cells, cell % cells
         waiting[i, j] = False
-        for a in range(max(0, i - 1), min(CELLS, i + 2)):
-            for b in range(max(0, j - 1), min(CELLS, j + 2)):
+        for a in range(max(0, i - 1), min(cells, i + 2)):
+            for b in range(max(0, j - 1), min(cells, j + 2)):
                 each = cost[a, b]
                 if each == math.inf:
-                    if (a - row) ** 2 + (b - column) ** 2 > 4:
+                    if (a - row) ** 2 + (b - column) ** 2 > values.escape_cells**2:
                         continue
-                    each = 10.0
-                length = lengths[i, j] + each * CELL * math.sqrt((a - i) ** 2 + (b - j) ** 2)
-                if length < lengths[a, b] - 1e-9:
-                    lengths[a, b] = length
-                    before[a, b] = cell
+                    each = values.escape_cost
+                total = costs_to_go[i, j] + each * values.cell * math.sqrt((a - i) ** 2 + (b - j) ** 2)
+                if total < costs_to_go[a, b] - 1e-9:
+                    costs_to_go[a, b] = total
+                    predecessors[a, b] = cell
                     if not waiting[a, b]:
-                        queue[(head + count) % size] = a * CELLS + b
+                        queue[(head + count) % size] = a * cells + b
                         count += 1
                         waiting[a, b] = True
 
 
 @compiled
-def ends_near(lengths, points, costs, cells):
-    """Write the least cost of a way that ends within `NEAR` of each point `(n, 2)`, in cells, and its last cell.
+def costs_near(grid, points, costs, ends, values):
+    """Write the least cost of a path that ends near each point `(n, 2)`, given in cells, and that path's last cell.
 
     The rest of the way, as the crow flies, counts double: nearer ends are better ones.
     """
-    reach = int(NEAR / CELL)
+    costs_to_go, cells = grid.costs_to_go, grid.cost.shape[0]
+    reach = int(values.end_radius / values.cell)
     for k in range(points.shape[0]):
-        costs[k], cells[k] = math.inf, -1
+        costs[k], ends[k] = math.inf, -1
         i, j = math.floor(points[k, 1]), math.floor(points[k, 0])
-        for a in range(max(0, i - reach), min(CELLS, i + reach + 1)):
-            for b in range(max(0, j - reach), min(CELLS, j + reach + 1)):
-                rest = CELL * math.sqrt((a - i) ** 2 + (b - j) ** 2)
-                if rest <= NEAR and lengths[a, b] + 2 * rest < costs[k]:
-                    costs[k], cells[k] = lengths[a, b] + 2 * rest, a * CELLS + b
+        for a in range(max(0, i - reach), min(cells, i + reach + 1)):
+            for b in range(max(0, j - reach), min(cells, j + reach + 1)):
+                rest = values.cell * math.sqrt((a - i) ** 2 + (b - j) ** 2)
+                if rest <= values.end_radius and costs_to_go[a, b] + 2 * rest < costs[k]:
+                    costs[k], ends[k] = costs_to_go[a, b] + 2 * rest, a * cells + b
 
 
 class Costmap:
-    """The grid, redrawn around the robot whenever it is asked for."""
+    """The grid, drawn anew around the robot whenever it is asked for.
 
-    def __init__(self) -> None:
-        self._passes = np.zeros((CELLS, CELLS), np.int32)
-        self._ends = np.zeros((CELLS, CELLS), np.int32)
-        self._cost = np.zeros((CELLS, CELLS))
-        self._lengths = np.full((CELLS, CELLS), np.inf)
-        self._before = np.zeros((CELLS, CELLS), np.int64)
-        self._queue = np.zeros(CELLS * CELLS, np.int64)
-        self._waiting = np.zeros((CELLS, CELLS), np.bool_)
-        self._left = self._bottom = 0.0
+    Parameters
+    ----------
+    range_max : float
+        Reach of the laser, metres.
+    config : CostmapConfig, optional
+    """
 
-    def draw(self, pose, scans, poses, legs, range_max: float) -> None:
-        """Draw scans `(n, beams)` taken at poses `(n, 3)`, and driven legs, around a pose; spread ways from it."""
-        self._left, self._bottom = pose[0] - CELLS * CELL / 2, pose[1] - CELLS * CELL / 2
-        self._passes[:] = 0
-        self._ends[:] = 0
-        for scan, (x, y, heading) in zip(scans, poses, strict=True):
-            draw_scan(scan, range_max, x, y, heading, self._left, self._bottom, self._passes, self._ends)
-        classify(self._passes, self._ends, self._cost)
-        clear_driven(legs, self._left, self._bottom, self._cost)
-        middle = CELLS // 2
-        spread_ways(self._cost, middle, middle, self._lengths, self._before, self._queue, self._waiting)
-
-    def ways_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the costs `(n,)` of the ways to points `(n, 2)`, inf where none is known, and their last cells."""
-        costs, cells = np.empty(len(points)), np.empty(len(points), np.int64)
-        ends_near(self._lengths, (points - (self._left, self._bottom)) / CELL, costs, cells)
-        return costs, cells
-
-    def way_to(self, cell: int) -> np.ndarray:
-        """Return the centres `(m, 2)` of the cells on the way to a flat cell, the robot's own first."""
-        way = [cell]
-        while self._before[way[-1] // CELLS, way[-1] % CELLS] >= 0:
-            way.append(self._before[way[-1] // CELLS, way[-1] % CELLS])
-        cells = np.array(way[::-1])
-        return np.column_stack([cells % CELLS, cells // CELLS]) * CELL + (
-            self._left + CELL / 2,
-            self._bottom + CELL / 2,
+    def __init__(self, range_max: float, config: CostmapConfig | None = None) -> None:
+        self.range_max = range_max
+        self.config = config or CostmapConfig()
+        self._values: Any = pack(CostmapValues, self.config)
+        shape = (self.config.cells, self.config.cells)
+        self._grid = Grid(
+            corner=np.zeros(2),
+            passes=np.zeros(shape, np.int32),
+            hits=np.zeros(shape, np.int32),
+            cost=np.zeros(shape),
+            costs_to_go=np.full(shape, np.inf),
+            predecessors=np.zeros(shape, np.int64),
         )
+        self._queue, self._waiting = np.zeros(shape[0] ** 2, np.int64), np.zeros(shape, np.bool_)
+
+    def draw(self, pose: np.ndarray, scans: np.ndarray, poses: np.ndarray, legs: np.ndarray) -> None:
+        """Draw the grid around a pose, and find the paths from there.
+
+        Parameters
+        ----------
+        pose : (3,)
+        scans, poses : (n, beams) and (n, 3)
+        legs : (m, 2, 2)
+            Straight pieces of the way that the robot has driven, metres.
+        """
+        grid, values = self._grid, self._values
+        grid.corner[:] = pose[:2] - self.config.cells * self.config.cell / 2
+        grid.passes[:] = 0
+        grid.hits[:] = 0
+        for scan, taken_at in zip(scans, poses, strict=True):
+            draw_scan(grid, scan, self.range_max, taken_at, values)
+        inflate(grid, values)
+        clear_driven(grid, legs, values)
+        cost_to_go(grid, self._queue, self._waiting, values)
+
+    def costs_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the costs `(n,)` of the paths to points `(n, 2)`, inf where none is known, and their last cells."""
+        costs, ends = np.empty(len(points)), np.empty(len(points), np.int64)
+        costs_near(self._grid, (points - self._grid.corner) / self.config.cell, costs, ends, self._values)
+        return costs, ends
+
+    def path_to(self, cell: int) -> np.ndarray:
+        """Return the centers `(m, 2)` of the cells on the path to a cell, given as a flat index, the robot's first."""
+        size, cells = self.config.cell, self.config.cells
+        path = [cell]
+        while self._grid.predecessors[path[-1] // cells, path[-1] % cells] >= 0:
+            path.append(self._grid.predecessors[path[-1] // cells, path[-1] % cells])
+        flat = np.array(path[::-1])
+        return np.column_stack([flat % cells, flat // cells]) * size + (self._grid.corner + size / 2)

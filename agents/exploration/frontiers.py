@@ -1,221 +1,251 @@
-"""The open areas' list: where scans have seen openings that no scan has seen into."""
+"""Frontiers: points where scans have seen openings that none has seen into; and the paper's list of open areas."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from agents.slam.keyframes import Keyframes
-from agents.slam.scan_filters import (
-    BESIDE,
+from agents.exploration.visibility import (
     DOUBTFUL,
-    NEAR_SIGHT,
     UNBOUNDED,
     UNCONFIRMED,
+    VisibilityConfig,
+    VisibilityValues,
     inside,
+    is_explored,
     open_points,
     seen_through,
-    settles,
     to_track,
 )
-from agents.slam.se2 import distances
+from agents.settings import ComponentConfig, pack
+from agents.slam.keyframes import Keyframes
+from agents.slam.se2 import euclidean_distances
 
-DETOUR = 14.0
-"""Metres by which the way to a place may be longer than the straight line if what one sees, the other sees too.
 
-A cycle is longer than 40 m, so across one that has not been closed yet, the way is longer: what is seen beyond it stays
-open until it has been driven round.
-"""
-SIGHT = 14.0
-"""Metres between two places whose scans may overlap at points of one of them: a little more than the laser's reach."""
-WITNESSES = 3
-"""Scans as measured, of five, that see through to a point of an opening; with fewer, it comes last."""
-ONWARD = 2.0
-"""Metres that the robot goes on at a time from an opening that it comes to from the other side."""
-MOST_POINTS = 400
-"""Of one scan, or two a beam where that is more; others are left out."""
-SAME_AREA = 2.0
-"""Metres between points of one area at most: less than between two doors."""
-LEFT_BEHIND = 6.0
-"""Metres that the robot has gone away from an area again, by which it is one to come back to, and gets a number."""
-BANNED = 1.0
-"""Metres around a point that can't be reached in which nothing is open any more."""
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrontierConfig(ComponentConfig):
+    """Which points stay open, and which open areas are listed; lengths in metres."""
+
+    sight: float = 14.0
+    """Distance between two keyframes whose scans may overlap at points of one of them: a little beyond the reach."""
+    witnesses: int = 3
+    """Scans, of five, that must see through to an open point; with fewer, it comes last."""
+    onward: float = 2.0
+    """How far the robot goes on at a time from an opening that it comes to from the other side."""
+    max_points: int = 400
+    """Open points of one scan, or two a beam where that is more; others are left out."""
+    same_area: float = 2.0
+    """Distance between points of one area, at most: less than between two doors."""
+    left_behind: float = 6.0
+    """How far the robot must have gone away from an area again for it to be listed as one to come back to."""
+    blacklist_radius: float = 1.0
+    """Distance from a point that can't be reached within which nothing is open any more."""
 
 
 @dataclass(slots=True)
 class OpenArea:
-    """An area that was left behind open: one on the paper's list."""
+    """An area that was left behind open: an entry in the paper's list."""
 
     number: int
-    place: int
-    """From which it was seen last."""
+    keyframe: int
+    """The one that sees it."""
     offset: np.ndarray
-    """Of its middle from that place, `(2,)`, metres east and north."""
+    """Of its center from that keyframe, `(2,)`, metres east and north."""
     state: str = "open"
-    """Or "visited", "struck off" (seen into from elsewhere), "out of reach"."""
+    """Or "visited", "reached another way" (explored from elsewhere), "out of reach"."""
 
 
+@dataclass(slots=True)
+class _Area:
+    """What is remembered of an area, listed or not."""
+
+    nearest: float = np.inf
+    """Metres from the robot when it was nearest."""
+    listed: OpenArea | None = None
+
+
+@dataclass(slots=True)
 class Frontiers:
-    """Points on open edges, each seen from a place, and the areas that they are of.
+    """Open points, each seen from a keyframe, and the areas that they belong to.
+
+    Parameters
+    ----------
+    beams : int
+    range_max : float
+    config : FrontierConfig, optional
+    visibility : VisibilityConfig, optional
 
     Attributes
     ----------
     polar : (m, 3) float64
-        Range, beam and kind, as from `open_points`, at the place.
-    place : (m,) int64
+        Range, beam and kind of each point, as from `open_points`, at its keyframe.
+    keyframe : (m,) int64
     area : (m,) int64
-        Alike for points of one area; counts up in the order in which areas are found.
+        Equal for points of one area; areas are numbered as they are found.
     listed : list of OpenArea
     """
 
-    def __init__(self, beams: int, range_max: float) -> None:
-        self.beams = beams
-        self.range_max = range_max
-        self.polar = np.zeros((0, 3))
-        self.place = np.zeros(0, np.int64)
-        self.area = np.zeros(0, np.int64)
-        self.listed: list[OpenArea] = []
-        self._numbers: dict[int, int] = {}  # area -> index into the list
-        self._nearest: dict[int, float] = {}  # area -> metres from the robot when it was nearest
-        self._areas = 0
-        self._new = 0  # points at the end that have not been verified yet
-        self._banned = np.zeros((0, 2))
+    beams: int
+    range_max: float
+    config: FrontierConfig = field(default_factory=FrontierConfig)
+    visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
+    polar: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)), init=False)
+    keyframe: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), init=False)
+    area: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), init=False)
+    listed: list[OpenArea] = field(default_factory=list, init=False)
+    _areas: list[_Area] = field(default_factory=list, init=False)
+    _unverified: int = field(default=0, init=False)  # points at the end of the arrays
+    _blacklist: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)), init=False)
+    _values: Any = field(init=False)
+
+    def __post_init__(self) -> None:
+        self._values = pack(VisibilityValues, self.visibility)
 
     def __len__(self) -> int:
-        return len(self.place)
+        return len(self.keyframe)
 
-    def points(self, places: Keyframes) -> np.ndarray:
+    def points(self, keyframes: Keyframes) -> np.ndarray:
         """Return the points `(m, 2)` in the frame of the track."""
-        return to_track(self.polar, places.pose[self.place], 2 * np.pi / self.beams)
+        return to_track(self.polar, keyframes.pose[self.keyframe], 2 * np.pi / self.beams)
 
     @property
     def unbounded(self) -> np.ndarray:
         """Which points `(m,)` were seen with no wall within the laser's reach behind them."""
         return self.polar[:, 2] == UNBOUNDED
 
-    def update(self, places: Keyframes, lengths: np.ndarray) -> None:
-        """Strike off what the last place has settled, and add what it has opened.
+    def update(self, keyframes: Keyframes, geodesic_m: np.ndarray) -> None:
+        """Resolve what the last keyframe has explored, and add what it has opened.
 
         Parameters
         ----------
-        places : Keyframes
-        lengths : (n,)
-            Of the ways from the last place, metres.
+        keyframes : Keyframes
+        geodesic_m : (n,)
+            Lengths of the ways from the last keyframe.
         """
-        last = places.count - 1
-        pose = places.pose[last]
-        here = distances(places.pose, pose)
+        last = keyframes.count - 1
+        pose = keyframes.pose[last]
+        here = euclidean_distances(keyframes.pose, pose)
         if len(self):
-            points = self.points(places)
-            away = distances(points, pose)
-            near = lengths[self.place] <= away + DETOUR
-            arrived = self._sees(places, last, points) & (away < BESIDE)
+            points = self.points(keyframes)
+            euclidean_m = euclidean_distances(points, pose)
+            direct = keyframes.is_direct(geodesic_m[self.keyframe], euclidean_m)
+            arrived = self._sees(keyframes, last, points) & (euclidean_m < self.visibility.beside)
             # Where the loop to a point is not closed yet, the robot goes on to where it was seen from, and closes it.
-            ahead = arrived & ~near & (self.polar[:, 0] > ONWARD)
-            self.polar[ahead, 0] -= ONWARD
+            ahead = arrived & ~direct & (self.polar[:, 0] > self.config.onward)
+            self.polar[ahead, 0] -= self.config.onward
             arrived &= ~ahead
-            self._drop(near & self._settles(places, np.array([last]), points) | arrived, arrived)
+            self._resolve(direct & self._is_explored(keyframes, np.array([last]), points) | arrived, arrived)
         if len(self):
-            # A point is best kept by the place that sees it from nearest: the way to it leads from there.
-            points = self.points(places)
-            away = distances(points, pose)
-            nearer = self._sees(places, last, points) & (away < self.polar[:, 0])
-            nearer &= lengths[self.place] <= away + DETOUR
-            self.place[nearer] = last
-            self.polar[nearer, 0] = away[nearer]
+            # A point is best kept by the keyframe that sees it from nearest: the way to it leads from there.
+            points = self.points(keyframes)
+            euclidean_m = euclidean_distances(points, pose)
+            nearer = self._sees(keyframes, last, points) & (euclidean_m < self.polar[:, 0])
+            nearer &= keyframes.is_direct(geodesic_m[self.keyframe], euclidean_m)
+            self.keyframe[nearer] = last
+            self.polar[nearer, 0] = euclidean_m[nearer]
             bearings = np.arctan2(*(points[nearer] - pose[:2]).T[::-1]) - pose[2]
             self.polar[nearer, 1] = bearings / (2 * np.pi / self.beams)
-        self._add(places, last, np.flatnonzero((here < SIGHT) & (lengths <= here + DETOUR)))
-        self._list(places, pose)
+        near = np.flatnonzero((here < self.config.sight) & keyframes.is_direct(geodesic_m, here))
+        self._add(keyframes, near[near != last])
+        self._list(keyframes, pose)
 
-    def _add(self, places: Keyframes, last: int, near: np.ndarray) -> None:
-        polar = np.empty((max(MOST_POINTS, 2 * self.beams), 3))
-        polar = polar[: open_points(places.scan[last], self.range_max, polar)]
-        points = to_track(polar, np.tile(places.pose[last], (len(polar), 1)), 2 * np.pi / self.beams)
-        new = ~self._settles(places, near[near != last], points)
-        for banned in self._banned:
-            new &= distances(points, banned) >= BANNED
-        known, areas = self.points(places), self.area.tolist()
-        for polar_point, point in zip(polar[new], points[new], strict=True):
-            away = distances(known, point)
-            if len(away) and away.min() < SAME_AREA:
-                areas.append(areas[int(np.argmin(away))])
+    def _add(self, keyframes: Keyframes, near: np.ndarray) -> None:
+        """Add the open points of the last keyframe that those `near` have not explored."""
+        last = keyframes.count - 1
+        polar = np.empty((max(self.config.max_points, 2 * self.beams), 3))
+        polar = polar[: open_points(keyframes.scan[last], self.range_max, polar, self._values)]
+        points = to_track(polar, np.tile(keyframes.pose[last], (len(polar), 1)), 2 * np.pi / self.beams)
+        new = ~self._is_explored(keyframes, near, points)
+        for blocked in self._blacklist:
+            new &= euclidean_distances(points, blocked) >= self.config.blacklist_radius
+        known, areas = self.points(keyframes), self.area.tolist()
+        for point in points[new]:
+            euclidean_m = euclidean_distances(known, point)
+            if len(euclidean_m) and euclidean_m.min() < self.config.same_area:
+                areas.append(areas[int(np.argmin(euclidean_m))])
             else:
-                areas.append(self._areas)
-                self._areas += 1
+                areas.append(len(self._areas))
+                self._areas.append(_Area())
             known = np.vstack([known, point])
-            self.polar = np.vstack([self.polar, polar_point])
+        self.polar = np.vstack([self.polar, polar[new]])
         self.area = np.array(areas, np.int64)
-        self.place = np.append(self.place, np.full(int(new.sum()), last))
-        self._new = int(new.sum())
+        self._unverified = int(new.sum())
+        self.keyframe = np.append(self.keyframe, np.full(self._unverified, last))
 
-    def verify(self, places: Keyframes, measured: np.ndarray, poses: np.ndarray) -> None:
-        """Put off what the last `update` has opened, unless `WITNESSES` scans see through to it: ranges may be wrong.
+    def verify(self, keyframes: Keyframes, measured: np.ndarray, poses: np.ndarray) -> None:
+        """Put off the points of the last `update` that too few scans see through to: ranges may be wrong.
 
         Parameters
         ----------
-        places : Keyframes
+        keyframes : Keyframes
         measured, poses : (m, beams) and (m, 3)
-            Scans as measured, from shortly before and after that of the last place.
+            Scans as measured, from shortly before and after the last keyframe.
         """
-        points = self.points(places)
-        witnesses = np.full(len(points), WITNESSES)
-        new = slice(len(points) - self._new, None)
+        points = self.points(keyframes)
+        witnesses = np.full(len(points), self.config.witnesses)
+        new = slice(len(points) - self._unverified, None)
         seen_through(measured, poses, self.range_max, points[new], witnesses[new])
-        self._new = 0
-        self.polar[witnesses < WITNESSES, 2] = UNCONFIRMED
+        self._unverified = 0
+        self.polar[witnesses < self.config.witnesses, 2] = UNCONFIRMED
 
-    def recheck(self, places: Keyframes) -> None:
-        """Strike off what places have seen that a closed loop has brought near."""
-        points = self.points(places)
-        settled = np.zeros(len(points), np.bool_)
-        for place in np.unique(self.place):
-            mine = np.flatnonzero(self.place == place)
-            lengths, _ = places.ways_from(int(place))
-            away = distances(places.pose, places.pose[place])
-            away[place] = np.inf
-            near = np.flatnonzero((away < 2 * SIGHT) & (lengths <= away + DETOUR))
-            settled[mine] = self._settles(places, near, points[mine])
-        self._drop(settled, np.zeros(len(points), np.bool_))
+    def recheck(self, keyframes: Keyframes) -> None:
+        """Resolve what has been explored by keyframes that a closed loop has brought near."""
+        points = self.points(keyframes)
+        explored = np.zeros(len(points), np.bool_)
+        for keyframe in np.unique(self.keyframe):
+            mine = np.flatnonzero(self.keyframe == keyframe)
+            geodesic_m = keyframes.geodesic_distances(int(keyframe)).distances
+            euclidean_m = euclidean_distances(keyframes.pose, keyframes.pose[keyframe])
+            euclidean_m[keyframe] = np.inf
+            near = (euclidean_m < 2 * self.config.sight) & keyframes.is_direct(geodesic_m, euclidean_m)
+            explored[mine] = self._is_explored(keyframes, np.flatnonzero(near), points[mine])
+        self._resolve(explored, np.zeros(len(points), np.bool_))
 
-    def ban(self, places: Keyframes, point: np.ndarray) -> None:
-        """Strike off a point `(2,)` that can't be reached, and what is around it, for good."""
-        around = distances(self.points(places), point) < BANNED
+    def blacklist(self, keyframes: Keyframes, point: np.ndarray) -> None:
+        """Give up a point `(2,)` that can't be reached, and what is around it, for good."""
+        around = euclidean_distances(self.points(keyframes), point) < self.config.blacklist_radius
         for area in np.unique(self.area[around]):
-            if area in self._numbers and not (self.area[~around] == area).any():
-                self.listed[self._numbers[area]].state = "out of reach"
-        self._drop(around, around)
-        self._banned = np.vstack([self._banned, point])
+            listed = self._areas[area].listed
+            if listed is not None and not (self.area[~around] == area).any():
+                listed.state = "out of reach"
+        self._resolve(around, around)
+        self._blacklist = np.vstack([self._blacklist, point])
 
-    def _settles(self, places: Keyframes, seers: np.ndarray, points: np.ndarray) -> np.ndarray:
-        settled = np.empty(len(points), np.bool_)
-        settles(places.scan[seers], places.pose[seers], self.range_max, points, settled)
-        return settled
+    def _is_explored(self, keyframes: Keyframes, seers: np.ndarray, points: np.ndarray) -> np.ndarray:
+        explored = np.empty(len(points), np.bool_)
+        is_explored(keyframes.scan[seers], keyframes.pose[seers], self.range_max, points, explored, self._values)
+        return explored
 
-    def _sees(self, places: Keyframes, place: int, points: np.ndarray) -> np.ndarray:
+    def _sees(self, keyframes: Keyframes, keyframe: int, points: np.ndarray) -> np.ndarray:
         seen = np.empty(len(points), np.bool_)
-        inside(places.scan[place], *places.pose[place], points, -NEAR_SIGHT, seen)
+        inside(keyframes.scan[keyframe], keyframes.pose[keyframe], points, -self.visibility.near_sight, seen)
         return seen
 
-    def _drop(self, dropped: np.ndarray, arrived: np.ndarray) -> None:
-        before = {area: bool(arrived[self.area == area].any()) for area in np.unique(self.area[dropped])}
-        self._new -= int(dropped[len(dropped) - self._new :].sum())
-        self.polar, self.place, self.area = self.polar[~dropped], self.place[~dropped], self.area[~dropped]
+    def _resolve(self, resolved: np.ndarray, arrived: np.ndarray) -> None:
+        """Drop points, and say of the listed areas that have none left whether the robot has been there."""
+        before = {area: bool(arrived[self.area == area].any()) for area in np.unique(self.area[resolved])}
+        self._unverified -= int(resolved[len(resolved) - self._unverified :].sum())
+        self.polar, self.keyframe, self.area = self.polar[~resolved], self.keyframe[~resolved], self.area[~resolved]
         for area, visited in before.items():
-            listed = self._numbers.get(area)
-            if listed is not None and self.listed[listed].state == "open" and not (self.area == area).any():
-                self.listed[listed].state = "visited" if visited else "struck off"
+            listed = self._areas[area].listed
+            if listed is not None and listed.state == "open" and not (self.area == area).any():
+                listed.state = "visited" if visited else "reached another way"
 
-    def _list(self, places: Keyframes, pose: np.ndarray) -> None:
-        points = self.points(places)
-        away = distances(points, pose)
-        for area in set(self.area[~np.isin(self.polar[:, 2], (DOUBTFUL, UNCONFIRMED))].tolist()) - set(self._numbers):
-            mine = np.flatnonzero(self.area == area)
-            now = float(away[mine].min())
-            least = self._nearest[area] = min(now, self._nearest.get(area, now))
-            if now > least + LEFT_BEHIND:
-                self._numbers[area] = len(self.listed)
-                place = int(self.place[mine[0]])
-                offset = points[mine].mean(axis=0) - places.pose[place, :2]
-                self.listed.append(OpenArea(number=len(self.listed) + 1, place=place, offset=offset))
+    def _list(self, keyframes: Keyframes, pose: np.ndarray) -> None:
+        """List the areas that the robot has left behind."""
+        points = self.points(keyframes)
+        euclidean_m = euclidean_distances(points, pose)
+        for number in np.unique(self.area[~np.isin(self.polar[:, 2], (DOUBTFUL, UNCONFIRMED))]).tolist():
+            area = self._areas[number]
+            if area.listed is not None:
+                continue
+            mine = np.flatnonzero(self.area == number)
+            now = float(euclidean_m[mine].min())
+            area.nearest = min(now, area.nearest)
+            if now > area.nearest + self.config.left_behind:
+                keyframe = int(self.keyframe[mine[0]])
+                offset = points[mine].mean(axis=0) - keyframes.pose[keyframe, :2]
+                area.listed = OpenArea(number=len(self.listed) + 1, keyframe=keyframe, offset=offset)
+                self.listed.append(area.listed)

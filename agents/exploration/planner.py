@@ -1,194 +1,257 @@
-"""Where to go next, the way there, and how to drive it."""
+"""Where to go next, the path there, and how to drive along it."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from agents.exploration.costmap import Costmap
-from agents.exploration.frontiers import DETOUR, Frontiers
-from agents.slam.keyframes import Keyframes, route
-from agents.slam.scan_filters import clear_beam, clear_lengths
-from agents.slam.se2 import distances, wrap, wrap_all
+from agents.exploration.frontiers import Frontiers
+from agents.exploration.visibility import clear_beam, clear_lengths
+from agents.settings import ComponentConfig, kernel_tuple, pack
+from agents.slam.keyframes import Keyframes, Paths
+from agents.slam.se2 import euclidean_distances, wrap, wrap_all
 from cyclic_env.jit import compiled
 
-HALF_WIDTH = 0.31
-"""Metres: the robot's radius, and a little air."""
-LOOKAHEAD = 3.0
-"""Metres along its way that the robot cuts short at most; more would cut corners that the way goes round."""
-PASSED = 0.6
-"""Metres from a point of its way at which the robot makes for the next."""
-AVOIDS, HESITATES = math.radians(60), 20
-"""By which the robot turns off its way at most, for what is too near to it; and steps without progress after which it
-turns off as far as it takes."""
-TURN_COST = 1.5
-"""Metres of way that a radian of turning is worth, so that the robot goes on rather than back."""
-KIND_COST = np.array([0.0, 6.0, 0.0, 60.0])
-"""Metres that an opening is put off by for its kind: a doubtful one is mostly a wall, and seen to be one in passing; an
-unconfirmed one comes when all else within a loop's length is done."""
-FAR_COST = 3.0
-"""Metres that a goal off the local map is put off by."""
-SWITCH_SHARE, SWITCH_GAIN = 0.4, 2.0
-"""Another goal must cost less than this share of the one at hand, by so many metres more: no dithering."""
-PATIENCE = 45
-"""Steps without half a metre's progress after which a goal is given up: nine seconds."""
-MAP_REACH = 12.0
-"""Metres around the robot within which places' scans are drawn on the local map."""
-MAP_SCANS = 20
-"""Scans drawn at most."""
-ARRIVES = 0.8
-"""Metres from a goal at which the robot looks around."""
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PlannerConfig(ComponentConfig):
+    """Choice of the goal, patience with it, and steering; lengths in metres."""
+
+    turn_cost: float = 1.5
+    """Metres of path that a radian of turning is worth, so that the robot goes on rather than back."""
+    doubtful_cost: float = 6.0
+    """By which a doubtful opening is put off: it is mostly a wall, and seen to be one in passing."""
+    unconfirmed_cost: float = 60.0
+    """By which an unconfirmed one is: it comes when all else within a loop's length is done."""
+    off_map_cost: float = 3.0
+    """By which a goal off the costmap is."""
+    switch_share: float = 0.4
+    switch_gain: float = 2.0
+    """Another goal must cost less than this share of the one at hand, by so many metres more: no dithering."""
+    same_point: float = 0.3
+    """Distance within which an open point is the goal that was chosen before."""
+    same_goal: float = 0.5
+    """Distance within which a new goal is the old one, which patience is lost with."""
+    progress: float = 0.5
+    """Metres of path that are progress."""
+    patience: float = 9.0
+    """Seconds without progress after which a goal is given up."""
+    hesitation: float = 4.0
+    """Seconds without progress after which the robot turns off its path as far as it takes."""
+    map_reach: float = 12.0
+    """Distance from the robot within which keyframes' scans are drawn on the costmap."""
+    map_scans: int = 20
+    """Scans drawn, at most."""
+    arrival: float = 0.8
+    """Distance from a goal at which the robot looks around."""
+    half_width: float = 0.31
+    """Of the robot, and a little air."""
+    lookahead: float = 3.0
+    """Length of the path that the robot cuts short, at most; more would cut corners that the path goes round."""
+    passed: float = 0.6
+    """Distance from a point of its path at which the robot makes for the next."""
+    target_clearance: float = 0.3
+    """How far beyond the clear part of a beam a point of the path may lie."""
+    avoidance: float = math.radians(60)
+    """By which the robot turns off its path for what is too near to it, at most."""
+    clear_ahead: float = 1.0
+    clear_ahead_min: float = 0.5
+    """Metres that must be clear where it drives; and if they are nowhere, at least."""
+    turn_gain: float = 1.6
+    turn_max: float = 0.8
+    """Share of the full turning rate for each radian off the path, up to 1; and the most that is asked for."""
+    turn_on_spot: float = 1.2
+    """Bearing of the path from which the robot turns on the spot."""
+    slow_from: float = 0.8
+    stop_at: float = 0.3
+    slow_min: float = 0.15
+    """The robot slows down over these metres before what is ahead, from full speed to this share of it."""
+
+
+PlannerValues = kernel_tuple("PlannerValues", PlannerConfig, __name__)
 
 
 class Planner:
-    """The goal of the moment, the way to it, and patience with it.
+    """The goal of the moment, the path to it, and the patience with it.
+
+    Parameters
+    ----------
+    beams : int
+    dt : float
+        Length of a step, seconds.
+    costmap : Costmap
+    config : PlannerConfig, optional
 
     Attributes
     ----------
     goal : (2,) float64 or None
         In the frame of the track.
-    way : (m, 2) float64
-        Points that are left of the way to it.
+    path : (m, 2) float64
+        The points that are left of the path to it.
     """
 
-    def __init__(self, beams: int) -> None:
+    def __init__(self, beams: int, dt: float, costmap: Costmap, config: PlannerConfig | None = None) -> None:
+        self.config = config or PlannerConfig()
         self.goal: np.ndarray | None = None
-        self.way = np.zeros((0, 2))
-        self._local = False
-        self._map = Costmap()
+        self.path = np.zeros((0, 2))
+        self._values = pack(PlannerValues, self.config)
+        self._kind_cost = np.array([0.0, self.config.doubtful_cost, 0.0, self.config.unconfirmed_cost])
+        self._patience, self._hesitation = round(self.config.patience / dt), round(self.config.hesitation / dt)
+        self._costmap = costmap
         self._clear = np.zeros(beams)
-        self._left = math.inf  # cost of the way when there was progress last
-        self._waited = 0
+        self._on_map = False
+        self._best_cost = math.inf  # when there was progress last
+        self._steps_stuck = 0
 
-    def choose(
+    def select_goal(
         self,
         pose: np.ndarray,
         scan: np.ndarray,
-        places: Keyframes,
-        areas: Frontiers,
-        lengths: np.ndarray,
-        before: np.ndarray,
+        keyframes: Keyframes,
+        frontiers: Frontiers,
+        paths: Paths,
         order: np.ndarray | None = None,
     ) -> None:
-        """Choose an open point to go to: the one at hand, or the cheapest if that is gone or far dearer.
+        """Choose an open point to go to: the one at hand, or the cheapest if that is gone or costs far more.
 
         Parameters
         ----------
         pose : (3,)
         scan : (beams,)
-        places : Keyframes
-        areas : Frontiers
-        lengths, before : (n,)
-            Of the ways from the last place; see `Keyframes.ways_from`.
+        keyframes : Keyframes
+        frontiers : Frontiers
+        paths : Paths
+            From the last keyframe.
         order : (m,), optional
-            Only points of the least value are chosen from; inf for those that are out of question.
+            Only points of the least value are chosen from; inf for those that are out of the question.
         """
-        points = areas.points(places)
+        points = frontiers.points(keyframes)
         if not len(points) or (order is not None and not np.isfinite(order).any()):
             self.goal = None
             return
-        away = distances(points, pose)
-        costs, ends = self._draw(pose, scan, places, areas.range_max, lengths).ways_to(points)
-        local = np.isfinite(costs) & (lengths[areas.place] <= away + DETOUR + MAP_REACH)
-        costs = np.where(local, costs, lengths[areas.place] + areas.polar[:, 0] + FAR_COST)
-        bearings = np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2]
-        costs += TURN_COST * np.abs(wrap_all(bearings)) + KIND_COST[areas.polar[:, 2].astype(np.int64)]
+        self._draw(pose, scan, keyframes, paths.distances)
+        costs, ends, on_map = self._costs(pose, points, keyframes, frontiers, paths.distances)
         if order is not None:
             costs += np.where(order == order.min(), 0.0, np.inf)
-        best = int(np.argmin(costs))
-        if self.goal is not None:
-            same = distances(points, self.goal)
-            mine = int(np.argmin(same))
-            if (
-                same[mine] < 0.3
-                and np.isfinite(costs[mine])
-                and costs[best] >= SWITCH_SHARE * costs[mine] - SWITCH_GAIN
-            ):
-                best = mine
-        kept = self.goal is not None and distances(points[best : best + 1], self.goal)[0] < 0.5
-        if not kept or costs[best] < self._left - 0.5:
-            self._left, self._waited = float(costs[best]), 0
+        best = self._keep_or_switch(points, costs)
+        kept = self.goal is not None and euclidean_distances(points[best : best + 1], self.goal)[0] < (
+            self.config.same_goal
+        )
+        if not kept or costs[best] < self._best_cost - self.config.progress:
+            self._best_cost, self._steps_stuck = float(costs[best]), 0
         goal = self.goal = points[best]
-        if kept and self._local and not local[best] and len(self.way):
-            return  # the way is known, though its end is off the map now
-        self._local = bool(local[best])
-        if self._local:
-            self.way = self._map.way_to(int(ends[best]))
+        if kept and self._on_map and not on_map[best] and len(self.path):
+            return  # the path is known, though its end is off the map now
+        self._on_map = bool(on_map[best])
+        if self._on_map:
+            self.path = self._costmap.path_to(int(ends[best]))
         else:
-            self.way = self._way_along(np.vstack([places.pose[route(before, int(areas.place[best])), :2], goal]))
+            on_route = paths.route(int(frontiers.keyframe[best]))
+            self.path = self._path_along(np.vstack([keyframes.pose[on_route, :2], goal]))
 
-    def _way_along(self, spots: np.ndarray) -> np.ndarray:
-        """Return the way `(m, 2)` along places `(n, 2)`, over the local map as far as it goes."""
+    def _costs(
+        self, pose: np.ndarray, points: np.ndarray, keyframes: Keyframes, frontiers: Frontiers, geodesic_m: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return the cost of going to each open point, the end of its path, and whether that is on the costmap."""
+        euclidean_m = euclidean_distances(points, pose)
+        costs, ends = self._costmap.costs_to(points)
+        around = geodesic_m[frontiers.keyframe]
+        on_map = np.isfinite(costs) & keyframes.is_direct(around, euclidean_m, self.config.map_reach)
+        costs = np.where(on_map, costs, around + frontiers.polar[:, 0] + self.config.off_map_cost)
+        bearings = np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2]
+        turning = self.config.turn_cost * np.abs(wrap_all(bearings))
+        costs += turning + self._kind_cost[frontiers.polar[:, 2].astype(np.int64)]
+        return costs, ends, on_map
+
+    def _keep_or_switch(self, points: np.ndarray, costs: np.ndarray) -> int:
+        """Return the point to go to: that of the goal at hand, unless another costs far less."""
+        best = int(np.argmin(costs))
+        if self.goal is None:
+            return best
+        from_goal = euclidean_distances(points, self.goal)
+        mine = int(np.argmin(from_goal))
+        if from_goal[mine] >= self.config.same_point or not np.isfinite(costs[mine]):
+            return best
+        dearer = costs[best] >= self.config.switch_share * costs[mine] - self.config.switch_gain
+        return mine if dearer else best
+
+    def _path_along(self, spots: np.ndarray) -> np.ndarray:
+        """Return the path `(m, 2)` along positions of keyframes `(n, 2)`, over the costmap as far as it goes."""
         driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(spots, axis=0).T))])
-        costs, ends = self._map.ways_to(spots)
-        on_map = np.flatnonzero((driven < MAP_REACH) & np.isfinite(costs))
+        costs, ends = self._costmap.costs_to(spots)
+        on_map = np.flatnonzero((driven < self.config.map_reach) & np.isfinite(costs))
         if not len(on_map):
             return spots
-        return np.vstack([self._map.way_to(int(ends[on_map[-1]])), spots[on_map[-1] + 1 :]])
+        return np.vstack([self._costmap.path_to(int(ends[on_map[-1]])), spots[on_map[-1] + 1 :]])
 
-    def _draw(
-        self, pose: np.ndarray, scan: np.ndarray, places: Keyframes, range_max: float, lengths: np.ndarray
-    ) -> Costmap:
-        away = distances(places.pose, pose)
-        near = np.flatnonzero((away < MAP_REACH) & (lengths <= away + DETOUR))
-        spots = np.vstack([places.pose[:, :2], pose[:2]])
+    def _draw(self, pose: np.ndarray, scan: np.ndarray, keyframes: Keyframes, geodesic_m: np.ndarray) -> None:
+        """Draw the costmap from the scans nearby: every second one of the nearest, and the one of now."""
+        config = self.config
+        euclidean_m = euclidean_distances(keyframes.pose, pose)
+        near = np.flatnonzero((euclidean_m < config.map_reach) & keyframes.is_direct(geodesic_m, euclidean_m))
+        spots = np.vstack([keyframes.pose[:, :2], pose[:2]])
         legs = np.stack([spots[near], spots[near + 1]], axis=1)
-        near = near[np.argsort(away[near], kind="stable")][: 2 * MAP_SCANS : 2]
-        self._map.draw(
-            pose, np.vstack([scan, places.scan[near]]), np.vstack([pose, places.pose[near]]), legs, range_max
-        )
-        return self._map
+        near = near[np.argsort(euclidean_m[near], kind="stable")][: 2 * config.map_scans : 2]
+        scans, poses = np.vstack([scan, keyframes.scan[near]]), np.vstack([pose, keyframes.pose[near]])
+        self._costmap.draw(pose, scans, poses, legs)
 
-    def arrives(self, pose: np.ndarray) -> bool:
+    def has_arrived(self, pose: np.ndarray) -> bool:
         """Tell whether the robot is at its goal."""
-        return self.goal is not None and math.hypot(pose[0] - self.goal[0], pose[1] - self.goal[1]) < ARRIVES
+        if self.goal is None:
+            return False
+        return math.hypot(pose[0] - self.goal[0], pose[1] - self.goal[1]) < self.config.arrival
 
     @property
     def gives_up(self) -> bool:
         """Whether the goal seems out of reach."""
-        return self.goal is not None and self._waited > PATIENCE
+        return self.goal is not None and self._steps_stuck > self._patience
 
-    def drop(self) -> None:
-        """Have no goal any more."""
-        self.goal, self._left, self._waited = None, math.inf, 0
+    def clear_goal(self) -> None:
+        """Forget the goal."""
+        self.goal, self._best_cost, self._steps_stuck = None, math.inf, 0
 
-    def drive(self, pose: np.ndarray, scan: np.ndarray) -> tuple[float, float]:
-        """Return speed and turning rate along the way, as shares of a full twist."""
+    def steer(self, pose: np.ndarray, scan: np.ndarray) -> tuple[float, float]:
+        """Return speed and turning rate along the path, as shares of the full ones."""
         if self.goal is None:
             return 0.0, 0.0
-        self._waited += 1
-        clear_lengths(scan, HALF_WIDTH, self._clear)
-        target, bearing, away = look_ahead(self.way, pose, self._clear)
-        self.way = self.way[target:]
-        return steer(self._clear, bearing, away, AVOIDS if self._waited < HESITATES else math.pi)
+        self._steps_stuck += 1
+        clear_lengths(scan, self.config.half_width, self._clear)
+        target, bearing, distance = look_ahead(self.path, pose, self._clear, self._values)
+        self.path = self.path[target:]
+        avoidance = self.config.avoidance if self._steps_stuck < self._hesitation else math.pi
+        return steer_to(self._clear, bearing, distance, avoidance, self.config)
 
 
 @compiled
-def look_ahead(way, pose, clear):
-    """Return the farthest point of a way `(m, 2)` to which the way is clear, its bearing and its distance.
+def look_ahead(path, pose, clear, values):
+    """Return the farthest point of a path `(m, 2)` to which the way is clear, its bearing and its distance.
 
-    Points within reach of the robot are passed over; where no way is clear, the first point is taken.
+    Points that the robot has reached are passed over; where no way is clear, the first point is taken.
     """
     spacing = 2 * math.pi / clear.shape[0]
     target = 0
-    for k in range(way.shape[0]):
-        dx, dy = way[k, 0] - pose[0], way[k, 1] - pose[1]
-        away = math.sqrt(dx * dx + dy * dy)
+    for k in range(path.shape[0]):
+        dx, dy = path[k, 0] - pose[0], path[k, 1] - pose[1]
+        distance = math.sqrt(dx * dx + dy * dy)
         beam = round((math.atan2(dy, dx) - pose[2]) / spacing) % clear.shape[0]
-        if away < LOOKAHEAD and away < clear[beam] + 0.3:
+        if distance < values.lookahead and distance < clear[beam] + values.target_clearance:
             target = k
-    dx, dy = way[target, 0] - pose[0], way[target, 1] - pose[1]
-    if dx * dx + dy * dy < PASSED**2 and target < way.shape[0] - 1:
+    dx, dy = path[target, 0] - pose[0], path[target, 1] - pose[1]
+    if dx * dx + dy * dy < values.passed**2 and target < path.shape[0] - 1:
         target += 1
-        dx, dy = way[target, 0] - pose[0], way[target, 1] - pose[1]
+        dx, dy = path[target, 0] - pose[0], path[target, 1] - pose[1]
     bearing = math.atan2(dy, dx) - pose[2]
     bearing -= 2 * math.pi * math.floor((bearing + math.pi) / (2 * math.pi))
     return target, bearing, math.sqrt(dx * dx + dy * dy)
 
 
-def steer(clear: np.ndarray, bearing: float, distance: float, avoids: float = math.pi) -> tuple[float, float]:
-    """Return speed and turning rate, as shares of a full twist, towards a point that may be behind something.
+def steer_to(
+    clear: np.ndarray, bearing: float, distance: float, avoidance: float, config: PlannerConfig
+) -> tuple[float, float]:
+    """Return speed and turning rate, as shares of the full ones, towards a point that may be behind something.
 
     Parameters
     ----------
@@ -196,15 +259,17 @@ def steer(clear: np.ndarray, bearing: float, distance: float, avoids: float = ma
         As from `clear_lengths`.
     bearing, distance : float
         Of the point, radians and metres.
-    avoids : float
-        Radians by which to turn aside at most, for what is too near.
+    avoidance : float
+        Radians by which to turn aside, at most, for what is too near.
+    config : PlannerConfig
     """
-    for need in (min(1.0, distance), 0.5):
+    for need in (min(config.clear_ahead, distance), config.clear_ahead_min):
         free = clear_beam(clear, bearing, need)
-        if abs(wrap(free - bearing)) <= avoids:  # else, as between door posts, the way is trusted
+        if abs(wrap(free - bearing)) <= avoidance:  # else, as between door posts, the path is trusted
             bearing = wrap(free)
             break
-    turn = max(-1.0, min(1.0, 1.6 * bearing))
-    # Turn on the spot when the way is off to the side or behind, and slow down for what is ahead.
-    speed = math.cos(bearing) ** 4 if abs(bearing) < 1.2 else 0.0
-    return speed * min(1.0, max(0.15, (clear[0] - 0.3) / 0.8)), 0.8 * turn
+    turn = max(-1.0, min(1.0, config.turn_gain * bearing))
+    # Turn on the spot when the path is off to the side or behind, and slow down for what is ahead.
+    speed = math.cos(bearing) ** 4 if abs(bearing) < config.turn_on_spot else 0.0
+    slowed = min(1.0, max(config.slow_min, (clear[0] - config.stop_at) / config.slow_from))
+    return speed * slowed, config.turn_max * turn

@@ -1,31 +1,40 @@
-"""Settings of the explorer, and its two presets."""
+"""Settings of the explorer, with those of all its components, and its two presets."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass, replace
+import math
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from numbers import Real
 from pathlib import Path
 from typing import Any, Literal
 
-import numpy as np
-
+from agents.exploration.costmap import CostmapConfig
+from agents.exploration.frontiers import FrontierConfig
+from agents.exploration.planner import PlannerConfig
+from agents.exploration.visibility import VisibilityConfig
 from agents.knn.similarity import MEASURES, measure_by_name
-from cyclic_env.config import check_choice, is_integer
-from cyclic_env.errors import ConfigError, short_repr
+from agents.settings import ComponentConfig
+from agents.slam.keyframes import KeyframeConfig
+from agents.slam.pose_graph import PoseGraphConfig
+from agents.slam.scan_filters import FilterConfig
+from agents.slam.scan_matching import MatcherConfig
+from agents.slam.tracker import TrackerConfig
+from cyclic_env.config import LaserConfig, RobotConfig
+from cyclic_env.errors import ConfigError
+from cyclic_env.validation import check_bool, check_choice, check_integer, check_number
 
 DETECTORS = ("both", "knn", "position")
 ORDERS = ("nearest", "first in first out", "last in first out")
 MOST = 1000
-"""Of whole numbers, and of metres."""
+"""Of whole numbers, metres and seconds."""
 THRESHOLDS = Path(__file__).with_name("thresholds.json")
 """Written by ``scripts/calibrate_thresholds.py``."""
 
 
 @lru_cache(maxsize=1)
 def calibrated_thresholds() -> dict[str, float]:
-    """Return for each measure the similarity from which a place counts as visited, as calibrated on training plans.
+    """Return for each measure the similarity above which a place counts as visited, as calibrated on training plans.
 
     Raises
     ------
@@ -36,44 +45,108 @@ def calibrated_thresholds() -> dict[str, float]:
         measures = json.loads(THRESHOLDS.read_text(encoding="utf-8"))["measures"]
         return {name: float(measures[name]["threshold"]) for name in MEASURES}
     except (OSError, ValueError, LookupError, TypeError) as error:
-        hint = "make it anew with scripts/calibrate_thresholds.py"
-        raise ConfigError(f"{THRESHOLDS}: no file of thresholds for all measures; {hint}.") from error
+        hint = "make it with scripts/calibrate_thresholds.py"
+        raise ConfigError(f"{THRESHOLDS}: not a file of thresholds for all measures; {hint}.") from error
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DetectorConfig(ComponentConfig):
+    """When a place counts as visited; lengths in metres."""
+
+    gap: float = 20.1
+    """Metres driven since a keyframe before the robot can be back at it: as a revisit is defined, and a bit more."""
+    leave: float = 10.1
+    """Metres that it must have been away in between: likewise."""
+    at_keyframe: float = 2.5
+    """Distance from a keyframe at which the robot is back there: half a metre less than counts."""
+    sight_half_width: float = 0.2
+    """Distance from all walls that the line of sight to it must have, for the track may err by as much."""
+    position_radius: float = 2.0
+    """Distance from a keyframe by dead reckoning at which the robot is back there, where no scans are matched."""
+    drift_min: float = 1.5
+    drift_max: float = 25.0
+    """What the track may err by at least and at most; see `PoseTracker.drift`."""
+    guess_position_std: float = 1.0
+    guess_heading_std: float = math.radians(10)
+    """Standard deviations of the robot's pose about a keyframe that the vote has found."""
+    inlier_ratio_slack: float = 0.05
+    """By how much the inlier ratio of a match may be lower than that of successive scans."""
+    inliers_min: int = 50
+    eigenvalue_min: float = 4.0
+    """Endpoints that must tell each direction."""
+    rival_distance: float = 1.5
+    rival_margin: float = 0.08
+    """A match that far away must have an inlier ratio lower by this; else the two places can't be told apart."""
+    same_correction: float = 0.8
+    """Distance between the corrections that two matches in a row call for, if both are right."""
+    pending: int = 3
+    """Keyframes after which a match that has not been confirmed is forgotten."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ObserverConfig(ComponentConfig):
+    """Keeping of scans, and trust in the sensors; lengths in metres, times in seconds."""
+
+    scans_kept: int = 5
+    """Scans kept as they were measured: openings are verified by them when their keyframe is the middle one."""
+    arrival_spacing: float = 0.1
+    """Distance from the last keyframe at which one is added where the robot has arrived at its goal."""
+    look_again: float = 3.0
+    """Time after which the goal is thought over, if there was no new keyframe."""
+    advance_max: float = 2.0
+    """What no robot drives in a step: a distance meter that shows more is out of order."""
+    compass_min: float = 0.5
+    """Least length of the compass's unit vector; a compass that shows less is out of order."""
+    distrust: float = 20.0
+    """Time for which nothing is claimed after a sensor was out of order."""
+    in_sight_rows: int = 3
+    """Keyframes back to which an opening counts as being in sight."""
+    ahead: float = math.radians(120)
+    """Bearing up to which an opening continues the corridor."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExplorerConfig:
-    """How the explorer maps, recognises and goes on; `preset` makes them by name.
+    """How the explorer maps, recognizes places and goes on; `preset` makes these by name.
 
     Parameters
     ----------
     detector : {"both", "knn", "position"}
-        What a visited place is told by: its looks (the KNN vote) among the places near, its looks alone, or its
+        What tells a visited place: its appearance (the KNN vote) among the places near, its appearance alone, or its
         position alone.
     measure : str
-        Similarity of two places' properties; see `agents.knn.similarity.MEASURES`.
+        Similarity of two keyframes' features; see `agents.knn.similarity.MEASURES`.
     neighbours : int
-        K: rows that vote.
+        K: the keyframes that vote.
     threshold : float, optional
         Similarity above which a place counts as visited, where no scans are matched; None: as calibrated for the
         measure, see `calibrated_thresholds`.
     sectors : int
-        Numbers that a place's properties are, looking ahead.
+        Length of a keyframe's feature vector, looking ahead.
     rounding : float
-        Metres that these are whole multiples of.
+        Metres that the features are whole multiples of.
     row_spacing : float
-        Metres between rows.
+        Metres between keyframes, the rows of the paper's tables.
     both_directions : bool
-        Compare with tables of the opposite direction too, looking back.
+        Compare with tables of the opposite direction, too, looking back.
     match_scans : bool
-        Hold the track straight by matching scans, confirm what the vote finds by matching, and mend the track by it.
+        Correct the track by matching scans, verify by matching what the vote finds, and close loops in a pose graph.
     unbounded_only : bool
-        List only openings with no wall within the laser's reach.
+        Go only to openings with no wall within the laser's reach.
     go_on : bool
         Go on along the corridor until the place is known or the corridor ends, and only then to the list.
     order : {"nearest", "first in first out", "last in first out"}
         In which open areas are gone to.
+    join : bool
+        Connect a visited place to the known one, where no scans are matched (where they are, always).
+    asked_rows : int, optional
+        Keyframes of each group, from its beginning, that are compared with earlier tables; None: all.
     range_max : float
-        Reach of the laser, metres: that of the environment.
+        Reach of the laser, metres.
+    dt : float
+        Length of a step, seconds.
+    filters, keyframes, matcher, tracker, pose_graph, loops, visibility, frontiers, costmap, planner, observer
+        The components' own settings.
 
     Raises
     ------
@@ -93,31 +166,65 @@ class ExplorerConfig:
     unbounded_only: bool = False
     go_on: bool = False
     order: Literal["nearest", "first in first out", "last in first out"] = "nearest"
+    join: bool = True
+    asked_rows: int | None = None
     range_max: float = 12.0
+    dt: float = 0.2
+    filters: FilterConfig = field(default_factory=FilterConfig)
+    keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
+    matcher: MatcherConfig = field(default_factory=MatcherConfig)
+    tracker: TrackerConfig = field(default_factory=TrackerConfig)
+    pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
+    loops: DetectorConfig = field(default_factory=DetectorConfig)
+    visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
+    frontiers: FrontierConfig = field(default_factory=FrontierConfig)
+    costmap: CostmapConfig = field(default_factory=CostmapConfig)
+    planner: PlannerConfig = field(default_factory=PlannerConfig)
+    observer: ObserverConfig = field(default_factory=ObserverConfig)
 
     def __post_init__(self) -> None:
         check_choice("detector", self.detector, DETECTORS)
         check_choice("order", self.order, ORDERS)
         measure_by_name(self.measure)
-        for name, least in (("neighbours", 1), ("sectors", 2)):
-            value = getattr(self, name)
-            if not is_integer(value) or not least <= value <= MOST:
-                raise ConfigError(f"{name} is {short_repr(value)}; expected a whole number from {least} to {MOST}.")
-        for name in ("both_directions", "match_scans", "unbounded_only", "go_on"):
-            value = getattr(self, name)
-            if not isinstance(value, bool | np.bool_):
-                raise ConfigError(f"{name} is {short_repr(value)}; expected True or False.")
-        for name in ("rounding", "row_spacing", "range_max"):
-            value = getattr(self, name)
-            if not isinstance(value, Real) or not 0 < float(value) < MOST:
-                raise ConfigError(f"{name} is {short_repr(value)}; expected metres above 0.")
-        if self.threshold is not None and not (isinstance(self.threshold, Real) and -1 <= float(self.threshold) <= 1):
-            raise ConfigError(f"threshold is {short_repr(self.threshold)}; expected a similarity, at most 1, or None.")
+        check_integer(self, "neighbours", 1, MOST)
+        check_integer(self, "sectors", 2, MOST)
+        for name in ("both_directions", "match_scans", "unbounded_only", "go_on", "join"):
+            check_bool(self, name)
+        for name in ("rounding", "row_spacing", "range_max", "dt"):
+            check_number(self, name, 0.0, MOST, open_low=True)
+        if self.asked_rows is not None:
+            check_integer(self, "asked_rows", 1, MOST)
+        if self.threshold is not None:
+            check_number(self, "threshold", -1.0, 1.0)
 
     @property
     def least_similarity(self) -> float:
         """The threshold, or the calibrated one of the measure."""
         return calibrated_thresholds()[self.measure] if self.threshold is None else self.threshold
+
+    def fitted(self, laser: LaserConfig, robot: RobotConfig) -> ExplorerConfig:
+        """Return these settings for another laser and robot: its reach, radius, speed and step.
+
+        What keeps off walls keeps off by as much more as the robot is larger, and a slow robot is waited for longer.
+        """
+        usual = RobotConfig()
+        larger, slower = robot.radius - usual.radius, max(1.0, usual.wheel_speed_max / robot.wheel_speed_max)
+        planner, visibility, costmap = self.planner, self.visibility, self.costmap
+        return replace(
+            self,
+            range_max=laser.range_max,
+            dt=robot.dt,
+            visibility=replace(visibility, wall_clearance=visibility.wall_clearance + larger),
+            costmap=replace(costmap, clearance=costmap.clearance + larger),
+            planner=replace(
+                planner,
+                half_width=planner.half_width + larger,
+                stop_at=planner.stop_at + larger,
+                patience=slower * planner.patience,
+                hesitation=slower * planner.hesitation,
+            ),
+            observer=replace(self.observer, advance_max=max(self.observer.advance_max, 2 * robot.advance_max)),
+        )
 
 
 PRESETS: dict[str, ExplorerConfig] = {
@@ -127,6 +234,7 @@ PRESETS: dict[str, ExplorerConfig] = {
         match_scans=False,
         unbounded_only=True,
         go_on=True,
+        join=False,
         order="first in first out",
     ),
     "extended": ExplorerConfig(),

@@ -1,340 +1,118 @@
-"""The paper's explorer: KNN, direction indicators, groups and the open areas' list."""
+"""The paper's explorer of one robot: KNN, direction indicators, groups and the list of open areas."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping
-from typing import Any
-
 import numpy as np
 
-from agents.exploration.frontiers import DETOUR, Frontiers
+from agents.actions import Decision, match_of
+from agents.base import Agent
+from agents.exploration.costmap import Costmap
+from agents.exploration.frontiers import Frontiers
 from agents.exploration.planner import Planner
-from agents.knn.config import ExplorerConfig, preset
-from agents.knn.directions import Group, compass_direction, sector_features
-from agents.knn.loop_detector import Detector
-from agents.scripted import MATCH_START, drive_actions
-from agents.slam.keyframes import Keyframes
-from agents.slam.scan_filters import confirm, despeckle, fill, inside, sound_ends
-from agents.slam.scan_matching import wall_lines
-from agents.slam.se2 import compose, distances, relative, wrap_all
-from agents.slam.tracker import PoseTracker
-from cyclic_env.config import ACTION_TYPES, ActionType, as_array, check_choice
-from cyclic_env.errors import ConfigError, short_repr
-from cyclic_env.simulation.sensors import DISTANCE_MAX
-
-FIRST_STEPS = 2
-"""Steps of standing still at first: the scans that later ones are confirmed by."""
-SCANS_KEPT = 5
-"""Scans that are kept as they were measured, by which openings are verified when they stand in the middle."""
-LOOK_AGAIN = 15
-"""Steps after which the goal is thought over, if there was no new row: three seconds."""
-ADVANCE_MAX, COMPASS_MIN = 2.0, 0.5
-"""Metres that no robot drives in a step, and least length of a unit vector: else the sensors are out of order."""
-DISTRUST = 100
-"""Steps since they were, for which nothing is claimed."""
-IN_SIGHT_ROWS = 3
-"""Rows back to which an opening counts as being in sight."""
-AHEAD = math.radians(120)
-"""Off the heading, to which a corridor goes on."""
-JOIN_REACH, JOIN_MOST = 6.0, 4
-"""Metres within which places in sight of each other are joined, and how many to each at most."""
+from agents.knn.config import ExplorerConfig
+from agents.knn.loop_detector import Detection
+from agents.knn.observer import LoopObserver
+from agents.slam.se2 import euclidean_distances, wrap_all
 
 
-class Memory:
-    """What the explorer remembers of one robot's episode.
-
-    Attributes
-    ----------
-    steps : int
-        Decisions taken.
-    groups : list of Group
-        The paper's tables, in the order in which they were begun.
-    indicators : list of int
-        NI, EI, SI, WI.
-    places : Keyframes
-        The rows of all tables.
-    track : PoseTracker
-    areas : Frontiers
-    claims : list of (int, int)
-        Steps at which the robot claimed to be back, and at which step it was there before.
-    visited : bool
-        Whether the last row's place was known.
-    done : bool
-        The list is empty: there is nothing left to explore.
-    trusted_from : int
-        Step from which sensors that were out of order are trusted again, so that claims are made.
-    measured, scans, poses : (SCANS_KEPT, beams), the same and (SCANS_KEPT, 3)
-        The latest first: scans as measured, without speckle, and where they were taken.
-    """
-
-    def __init__(self, config: ExplorerConfig, beams: int) -> None:
-        self.steps = 0
-        self.direction: int | None = None
-        self.indicators = [0, 0, 0, 0]
-        self.groups: list[Group] = []
-        self.places = Keyframes(beams, config.sectors)
-        self.track = PoseTracker(config.range_max, config.match_scans)
-        self.areas = Frontiers(beams, config.range_max)
-        self.detector = Detector(config)
-        self.pilot = Planner(beams)
-        self.claims: list[tuple[int, int]] = []
-        self.visited = False
-        self.on_list = False
-        self.done = False
-        self.trusted_from = 0
-        self.measured = np.zeros((SCANS_KEPT, beams))
-        self.scans = np.zeros((SCANS_KEPT, beams))
-        self.poses = np.zeros((SCANS_KEPT, 3))
-        self.lengths = np.zeros(0)
-        self.before = np.zeros(0, np.int64)
-        self.since_choice = 0
-
-
-class KnnExplorer:
-    """Explores a building, claims the places it is back at, and stops when nothing is left open.
+class KnnExplorer(LoopObserver, Agent):
+    """Explores a building, claims the places that it is back at, and stops when nothing is left open.
 
     Parameters
     ----------
-    config : ExplorerConfig, optional
-        By default the preset ``extended``.
-    action_type : {"wheels", "twist", "discrete"}
-        That of the environment.
+    config : ExplorerConfig
+    beams : int
+        Of the laser.
+
+    Attributes
+    ----------
+    frontiers : Frontiers
+        With the paper's list of open areas.
+    planner : Planner
+    done : bool
+        There is nothing left to explore.
     """
 
-    def __init__(self, config: ExplorerConfig | None = None, *, action_type: ActionType = "wheels") -> None:
-        if config is not None and not isinstance(config, ExplorerConfig):
-            raise ConfigError(f"the config is {short_repr(config)}; expected an ExplorerConfig, as preset() makes.")
-        self.config = preset("extended") if config is None else config
-        self.action_type: ActionType = check_choice("action type", action_type, ACTION_TYPES)
+    def __init__(self, config: ExplorerConfig, beams: int) -> None:
+        super().__init__(config, beams)
+        self.frontiers = Frontiers(beams, config.range_max, config.frontiers, config.visibility)
+        self.planner = Planner(beams, config.dt, Costmap(config.range_max, config.costmap), config.planner)
+        self.on_list = False
+        self.done = False
+        self._look_again = round(config.observer.look_again / config.dt)
+        self._since_choice = 0
 
-    def predict(
-        self,
-        observation: np.ndarray | Mapping[str, np.ndarray],
-        state: Any = None,
-        episode_start: np.ndarray | None = None,
-        deterministic: bool = True,
-    ) -> tuple[np.ndarray, tuple[Memory, ...]]:
-        """Return actions, and what to remember.
+    def decide(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> Decision:
+        """Observe, and drive on: the paper's Steps 1 to 6."""
+        found = Detection()
+        self.sense(scan, distance, compass)  # Steps 2 to 4: direction, indicator, group
+        if self.ready and not self.done:
+            self._review()
+            if self._is_due():
+                found = self.add_keyframe()  # Steps 1 and 5: a row, and the comparison with earlier tables
+                self._update_list(found)  # Step 1: the list of open areas
+            self._go_on()  # Step 6: to an open area, or on
+        self.steps += 1
+        speed, turn = self.planner.steer(self.tracker.pose, self.scans[0])
+        step = self.claim(found)
+        if step is None:
+            return Decision(speed, turn)
+        return Decision(speed, turn, claim=True, match=match_of(step, self.steps))
 
-        Parameters
-        ----------
-        observation : dict of arrays
-            ``laser`` `(N, beams)`, metres, a whole turn to the left from straight ahead; ``distance`` `(N, 1)`, metres
-            driven; ``compass`` `(N, 2)`, the heading's parts east and north. Or of one robot, without the N. A range
-            beyond the config's `range_max`, or that is no number, is one that met nothing.
-        state : tuple of Memory, optional
-            As returned by the last call, which it continues: both are the same objects; None at the first.
-        episode_start : (N,) bool, optional
-            Robots whose episode has just begun.
-        deterministic : bool
-            Makes no difference.
+    def _is_due(self) -> bool:
+        """Whether it is time for a keyframe: after a while, and at the goal."""
+        arrived = self.planner.has_arrived(self.tracker.pose) and self.moved > self.config.observer.arrival_spacing
+        return arrived or self.moved >= self.config.row_spacing
 
-        Returns
-        -------
-        actions : (N, 4) float32, or (N, 2) int64 if discrete; without the N for one robot
-        state : tuple of Memory
+    def _review(self) -> None:
+        """Give up a goal that can't be reached, and verify openings by the scans before and after their keyframe."""
+        keyframes, planner = self.keyframes, self.planner
+        if planner.goal is not None and planner.gives_up:
+            self.frontiers.blacklist(keyframes, planner.goal)
+            planner.clear_goal()
+            self._since_choice = self._look_again
+        if keyframes.count and self.steps - keyframes.step[-1] == self.config.observer.scans_kept // 2:
+            self.frontiers.verify(keyframes, self.measured, self.poses)
 
-        Raises
-        ------
-        ConfigError
-            If the observation is none, or the state or `episode_start` is of other robots.
-        """
-        laser, distance, compass = self._readings(observation)
-        single = laser.ndim == 1
-        laser, distance, compass = np.atleast_2d(laser), np.atleast_1d(distance), np.atleast_2d(compass)
-        memories = [None] * len(laser) if state is None else state
-        if not isinstance(memories, list | tuple) or not all(isinstance(one, Memory | None) for one in memories):
-            raise ConfigError(f"the state is {short_repr(state)}; expected what the last predict returned, or None.")
-        if len(memories) != len(laser):
-            raise ConfigError(f"the state is of {len(memories)} robots, the observation of {len(laser)}.")
-        if episode_start is not None:
-            begun = np.asarray(episode_start, np.bool_).ravel()
-            if len(begun) != len(laser):
-                raise ConfigError(f"episode_start is of {len(begun)} robots, the observation of {len(laser)}.")
-            memories = [None if new else memory for new, memory in zip(begun, memories, strict=True)]
-        for memory in memories:
-            if memory is not None and memory.scans.shape[1] != laser.shape[1]:
-                raise ConfigError(
-                    f"the state is of a laser with {memory.scans.shape[1]} beams, the observation of {laser.shape[1]}."
-                )
-        kept = tuple(Memory(self.config, laser.shape[1]) if memory is None else memory for memory in memories)
-        decisions = np.array(
-            [self._decide(memory, laser[row], distance[row], compass[row]) for row, memory in enumerate(kept)]
-        )
-        actions = drive_actions(decisions[:, :2], self.action_type, decisions[:, 2], decisions[:, 3])
-        return (actions[0] if single else actions), kept
+    def _update_list(self, found: Detection) -> None:
+        """Resolve the open areas that have been explored, and add those that the last keyframe sees."""
+        if found.connects is not None:
+            self.frontiers.recheck(self.keyframes)
+        self.frontiers.update(self.keyframes, self.paths.distances)
+        self._since_choice = self._look_again
 
-    def _readings(self, observation: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return laser `(..., beams)`, distance `(...)` and compass `(..., 2)`, checked, in double precision."""
-        expected = "a dict with the arrays laser (N, beams), distance (N, 1) and compass (N, 2)"
-        if not isinstance(observation, Mapping):
-            raise ConfigError(f"the observation is {short_repr(observation)}; expected {expected}.")
-        arrays = []
-        for name in ("laser", "distance", "compass"):
-            if name not in observation:
-                raise ConfigError(f"the observation has no {name}; expected {expected}.")
-            arrays.append(as_array(observation[name], f"the observation's {name}", expected, ConfigError))
-        laser, distance, compass = (array.astype(np.float64) for array in arrays)
-        robots = laser.shape[:-1]
-        if laser.ndim not in (1, 2) or distance.shape != (*robots, 1) or compass.shape != (*robots, 2):
-            shapes = ", ".join(str(array.shape) for array in arrays)
-            raise ConfigError(f"the observation's arrays have the shapes {shapes}; expected {expected}.")
-        beams, needed = laser.shape[-1], 2 * (self.config.sectors - 1)
-        if beams < needed:
-            raise ConfigError(f"the laser has {beams} beams; {self.config.sectors} sectors need {needed}: set fewer.")
-        if not (np.abs(distance) <= DISTANCE_MAX).all():
-            raise ConfigError(
-                f"the observation's distance is {short_repr(distance)}; expected at most {DISTANCE_MAX:g} m."
+    def _go_on(self) -> None:
+        """Choose a goal, after each keyframe and every few seconds; without one, the robot is done."""
+        if self._since_choice >= self._look_again:
+            self._since_choice = 0
+            self.planner.select_goal(
+                self.tracker.pose, self.scans[0], self.keyframes, self.frontiers, self.paths, self._order()
             )
-        if not np.isfinite(compass).all():
-            raise ConfigError("the observation's compass is not finite; expected the heading's parts east and north.")
-        return np.fmax(np.fmin(laser, self.config.range_max), 0.0), distance[..., 0], compass  # of a NaN, the other
+            self.done = self.planner.goal is None
+        self._since_choice += 1
 
-    def _decide(
-        self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray
-    ) -> tuple[float, float, float, float]:
-        """Take one robot's decision, the paper's Steps 1 to 6: speed, turning rate, claim and match."""
-        places, track, pilot = memory.places, memory.track, memory.pilot
-        self._sense(memory, laser, distance, compass)
-        # Steps 2 to 4: a change of direction raises the new direction's indicator, and begins a group.
-        direction = compass_direction(track.compass, memory.direction)
-        if direction != memory.direction:
-            memory.direction = direction
-            memory.indicators[direction] += 1
-            memory.groups.append(Group(direction, memory.indicators[direction]))
-        match = None
-        if memory.steps >= FIRST_STEPS and not memory.done:
-            moved = math.inf if not places.count else math.hypot(*(track.pose[:2] - places.pose[-1, :2]))
-            if pilot.goal is not None and pilot.gives_up:
-                memory.areas.ban(places, pilot.goal)
-                pilot.drop()
-                memory.since_choice = LOOK_AGAIN
-            if places.count and memory.steps - places.step[-1] == SCANS_KEPT // 2:
-                memory.areas.verify(places, memory.measured, memory.poses)
-            if moved >= self.config.row_spacing or (pilot.arrives(track.pose) and moved > 0.1):
-                # Step 1: add a row to the group's table, and openings to the open areas' list.
-                before = track.pose.copy()
-                self._add_row(memory)
-                # Step 5: compare with the tables of before.
-                match = self._compare(memory)
-                memory.poses = compose(track.pose, relative(before, memory.poses))
-                memory.areas.update(places, memory.lengths)
-                memory.since_choice = LOOK_AGAIN
-            # Step 6: go to an open area, or on.
-            if memory.since_choice >= LOOK_AGAIN:
-                self._choose(memory)
-            memory.since_choice += 1
-        memory.steps += 1
-        speed, turn = pilot.drive(track.pose, memory.scans[0])
-        if match is None or memory.steps < memory.trusted_from:
-            return speed, turn, -1.0, MATCH_START
-        memory.claims.append((memory.steps, match))
-        return speed, turn, 1.0, 2 * match / memory.steps - 1
-
-    def _sense(self, memory: Memory, laser: np.ndarray, distance: float, compass: np.ndarray) -> None:
-        driven = memory.track.path
-        memory.track.advance(distance, compass)
-        if memory.track.path - driven > ADVANCE_MAX or math.hypot(*compass) < COMPASS_MIN:
-            memory.trusted_from = memory.steps + DISTRUST
-        for kept, new in ((memory.measured, laser), (memory.scans, laser), (memory.poses, memory.track.pose)):
-            kept[1:] = kept[:-1]
-            kept[0] = new
-        despeckle(laser, memory.scans[0])
-
-    def _add_row(self, memory: Memory) -> None:
-        places, track = memory.places, memory.track
-        scan, confirmed = memory.scans[0].copy(), np.zeros(len(memory.scans[0]), np.bool_)
-        for earlier in range(1, FIRST_STEPS + 1):
-            confirm(memory.scans[0], track.pose, memory.scans[earlier], memory.poses[earlier], confirmed)
-        fill(memory.scans[0], confirmed, scan)
-        memory.scans[0] = scan
-        ends = sound_ends(scan, memory.measured[0], self.config.range_max)
-        track.localise(places, scan, ends, memory.lengths)
-        lines = np.empty((len(scan), 3))
-        wall_lines(ends, self.config.range_max, lines)
-        row = places.add(
-            pose=track.pose,
-            odometry=track.odometry,
-            scan=scan,
-            ends=ends,
-            lines=lines,
-            features=sector_features(scan, self.config.sectors, self.config.rounding),
-            compass=track.compass,
-            direction=memory.direction,
-            group=len(memory.groups) - 1,
-            step=memory.steps,
-            path=track.path,
-        )
-        memory.groups[-1].rows.append(row)
-        memory.lengths, memory.before = places.ways_from(row)
-
-    def _compare(self, memory: Memory) -> int | None:
-        """Return the step at which the robot was here before, if it was; join what belongs together."""
-        places, track = memory.places, memory.track
-        last = places.count - 1
-        found = memory.detector.detect(places, track, memory.lengths)
-        if found.joins is not None:
-            places.join(found.joins, last)
-        if found.loop is not None:
-            track.close(places, found.loop)
-            found.visited = memory.detector.at_loop(places, track)
-        track.relax(places)
-        if found.joins is not None:
-            memory.lengths, _ = places.ways_from(last)
-        self._join_neighbours(memory, last)
-        memory.lengths, memory.before = places.ways_from(last)
-        if found.joins is not None:
-            memory.areas.recheck(places)
-        memory.visited = found.visited is not None
-        return None if found.visited is None else int(places.step[found.visited])
-
-    def _join_neighbours(self, memory: Memory, last: int) -> None:
-        """Let ways lead to the nearest places in sight."""
-        places = memory.places
-        away = distances(places.pose, places.pose[last])
-        near = np.flatnonzero((away < JOIN_REACH) & (memory.lengths <= away + DETOUR))
-        near = near[near < last - 1]
-        near = near[np.argsort(away[near], kind="stable")][:JOIN_MOST]
-        seen = np.empty(len(near), np.bool_)
-        inside(places.scan[last], *places.pose[last], places.pose[near, :2], 0.3, seen)
-        for place in near[seen].tolist():
-            places.join(place, last)
-
-    def _choose(self, memory: Memory) -> None:
-        memory.since_choice = 0
-        pilot = memory.pilot
-        pilot.choose(
-            memory.track.pose,
-            memory.scans[0],
-            memory.places,
-            memory.areas,
-            memory.lengths,
-            memory.before,
-            self._order(memory),
-        )
-        memory.done = pilot.goal is None
-
-    def _order(self, memory: Memory) -> np.ndarray | None:
-        """Return which open points come first, `(m,)`, inf for those out of question; None if all are alike."""
-        config, areas, goal = self.config, memory.areas, memory.pilot.goal
+    def _order(self) -> np.ndarray | None:
+        """Return which open points come first, `(m,)`, inf for those out of the question; None if all are equal."""
+        config, frontiers, goal = self.config, self.frontiers, self.planner.goal
         if config.order == "nearest" and not config.unbounded_only and not config.go_on:
             return None
-        points = areas.points(memory.places)
-        if memory.on_list:
-            # On the way to an area of the list, until it is struck off.
-            memory.on_list = goal is not None and len(points) > 0 and bool(distances(points, goal).min() < 0.3)
-            if memory.on_list and goal is not None:
-                return np.where(areas.area == areas.area[np.argmin(distances(points, goal))], 0.0, np.inf)
-        if config.go_on and not memory.visited:
-            pose = memory.track.pose
+        points = frontiers.points(self.keyframes)
+        if self.on_list:
+            # On the way to an area of the list, until it is resolved.
+            from_goal = np.zeros(0) if goal is None else euclidean_distances(points, goal)
+            self.on_list = len(from_goal) > 0 and bool(from_goal.min() < config.planner.same_point)
+            if self.on_list:
+                return np.where(frontiers.area == frontiers.area[np.argmin(from_goal)], 0.0, np.inf)
+        if config.go_on and not self.visited:
+            pose = self.tracker.pose
             bearings = wrap_all(np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2])
-            ahead = (areas.place >= memory.places.count - IN_SIGHT_ROWS) & (np.abs(bearings) < AHEAD)
+            ahead = np.abs(bearings) < config.observer.ahead
+            ahead &= frontiers.keyframe >= self.keyframes.count - config.observer.in_sight_rows
             if ahead.any():
                 return np.where(ahead, 0.0, np.inf)
         sign = {"nearest": 0, "first in first out": 1, "last in first out": -1}[config.order]
-        order = sign * areas.area.astype(np.float64)
+        order = sign * frontiers.area.astype(np.float64)
         if config.unbounded_only:
-            order[~areas.unbounded] = np.inf
-        memory.on_list = bool(np.isfinite(order).any())
+            order[~frontiers.unbounded] = np.inf
+        self.on_list = bool(np.isfinite(order).any())
         return order

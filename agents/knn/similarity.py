@@ -24,8 +24,8 @@ import numpy as np
 from scipy.spatial.distance import cdist
 from scipy.stats import rankdata
 
-from cyclic_env.config import as_array, check_choice
 from cyclic_env.errors import ConfigError
+from cyclic_env.validation import as_array, check_choice
 
 LARGEST = 1e100
 """A coordinate's size at most: squares and sums of such have room in a float."""

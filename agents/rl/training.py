@@ -32,10 +32,11 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
 import cyclic_env
 from agents.rl.vec_env import CyclicLoopVecEnv, ScanFeatures
-from cyclic_env.config import ACTION_TYPES, ActionType, check_choice, noise_from_name
+from cyclic_env.config import ACTION_TYPES, ActionType, noise_from_name
 from cyclic_env.console import ProgressLine
 from cyclic_env.errors import ConfigError, CyclicLoopError
 from cyclic_env.floor_plans import load_floor_plans, separate_names
+from cyclic_env.validation import check_choice
 
 ALGORITHMS: Mapping[str, type[BaseAlgorithm]] = {"a2c": A2C, "ppo": PPO, "sac": SAC, "td3": TD3}
 CONTINUOUS_ONLY = ("sac", "td3")

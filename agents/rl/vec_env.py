@@ -15,7 +15,7 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
-from cyclic_env.envs.vector import CyclicLoopVectorEnv
+from cyclic_env import CyclicLoopVectorEnv
 from cyclic_env.errors import UsageError
 
 ROW_METHODS = ("trajectory", "seen_cells")
@@ -31,7 +31,7 @@ class CyclicLoopVecEnv(VecEnv):
     It resets a row in the step that ends its episode, as every SB3 `VecEnv` does. The info of that step has all of the
     last info, and ``terminal_observation``, ``TimeLimit.truncated`` and, as from a `Monitor`, ``episode``. The infos
     of all other steps are empty: to build them in full for 256 rows takes five times as long as the step itself
-    (measured), and nothing in SB3 reads them. What is true at every moment is at ``venv.env.engine.info``, an array
+    (measured), and nothing in SB3 reads them. What is true at every moment is in ``venv.env.info_records``, an array
     with a record for each row.
 
     Parameters
@@ -44,6 +44,7 @@ class CyclicLoopVecEnv(VecEnv):
     def __init__(self, num_envs: int = 1, **settings: Any) -> None:
         self.env = CyclicLoopVectorEnv(num_envs, autoreset_mode="SAME_STEP", **settings)
         super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
+        self.metadata = self.env.metadata  # videos take their frames per second from it
         self._actions: np.ndarray | None = None
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
@@ -53,21 +54,23 @@ class CyclicLoopVecEnv(VecEnv):
         """Begin episodes in all rows, with the seeds and options given since the last reset."""
         with_options = np.array([bool(options) for options in self._options])
         rows = np.arange(self.num_envs)
+        observation: dict[str, np.ndarray] = {}
         if with_options.any():  # rows can differ in their options, which the vector env takes for all that it resets
             for row in rows[with_options].tolist():
-                self._reset_rows(rows == row, self._options[row])
+                observation = self._reset_rows(rows == row, self._options[row])
             rows = rows[~with_options]
         if len(rows):
-            self._reset_rows(~with_options, {})
+            observation = self._reset_rows(~with_options, {})
         self._reset_seeds()
         self._reset_options()
         self._returns[:], self._lengths[:] = 0.0, 0
-        return self.env.engine.observation()
+        return observation  # of all rows, whichever were the last to be reset
 
-    def _reset_rows(self, mask: np.ndarray, options: dict[str, Any]) -> None:
-        _, infos = self.env.reset(seed=self._seeds, options={**options, "reset_mask": mask})
+    def _reset_rows(self, mask: np.ndarray, options: dict[str, Any]) -> dict[str, np.ndarray]:
+        observation, infos = self.env.reset(seed=self._seeds, options={**options, "reset_mask": mask})
         for row in np.flatnonzero(mask).tolist():
             self.reset_infos[row] = _row_info(infos, row)
+        return observation
 
     def step_async(self, actions: np.ndarray) -> None:
         """Take the actions of the step to come."""
@@ -105,7 +108,7 @@ class CyclicLoopVecEnv(VecEnv):
         if attr_name == "floor_plan":
             return [self.env.floor_plan(row) for row in rows]
         if attr_name == "step_budget":
-            return [self.env.engine.config.step_budget_of(self.env.floor_plan(row)) for row in rows]
+            return [self.env.step_budget(row) for row in rows]
         if attr_name in ROW_METHODS:
             return [partial(getattr(self.env, attr_name), row) for row in rows]
         return [getattr(self.env, attr_name) for _ in rows]

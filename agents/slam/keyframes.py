@@ -1,46 +1,87 @@
-"""What was taken at each place along the way, and the graph that joins the places."""
+"""The keyframes along the way, and the graph of the ways between them."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from agents.settings import ComponentConfig
 from cyclic_env.jit import compiled
 
-JOINTS = 16
-"""Most places that one can be joined to; more add no new ways."""
 CAPACITY = 256
 """Keyframes that there is room for at first."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyframeConfig(ComponentConfig):
+    """The graph of keyframes."""
+
+    neighbors: int = 16
+    """Keyframes that one can be connected to at most; more would add no new ways."""
+    detour: float = 14.0
+    """By how much a way between two places may be longer than the straight line if no unclosed loop lies between them.
+
+    A cycle is longer than 40 m, so across one that has not been closed yet, the way is longer.
+    """
+    connect_radius: float = 6.0
+    """Distance within which keyframes in sight of each other are connected."""
+    connections: int = 4
+    """How many these are for a new keyframe, at most."""
+    sight_margin: float = 0.3
+    """Metres short of the scan's endpoints that such a keyframe must lie."""
+
+
+class Graph(NamedTuple):
+    """Neighbors of each keyframe `(n, k)`, how many these are `(n,)`, and the poses `(n, 3)`."""
+
+    neighbors: np.ndarray
+    degrees: np.ndarray
+    poses: np.ndarray
+
+
+class Paths(NamedTuple):
+    """Shortest paths from one keyframe to all others."""
+
+    distances: np.ndarray
+    """`(n,)`, metres; inf where no path leads."""
+    predecessors: np.ndarray
+    """The keyframe before each on its path, `(n,)`; -1 at the source."""
+
+    def route(self, target: int) -> list[int]:
+        """Return the keyframes on the path to `target`, the source first."""
+        keyframes = [target]
+        while self.predecessors[keyframes[-1]] >= 0:
+            keyframes.append(int(self.predecessors[keyframes[-1]]))
+        return keyframes[::-1]
+
+
 @compiled
-def join(joints, degrees, i, j):
-    """Join places i and j, unless they are joined or have no joint left."""
-    if i == j or degrees[i] >= joints.shape[1] or degrees[j] >= joints.shape[1]:
+def connect(neighbors, degrees, i, j):
+    """Connect keyframes i and j, unless they are connected or one of them has no room for another neighbor."""
+    if i == j or degrees[i] >= neighbors.shape[1] or degrees[j] >= neighbors.shape[1]:
         return
     for k in range(degrees[i]):
-        if joints[i, k] == j:
+        if neighbors[i, k] == j:
             return
-    joints[i, degrees[i]] = j
-    joints[j, degrees[j]] = i
+    neighbors[i, degrees[i]] = j
+    neighbors[j, degrees[j]] = i
     degrees[i] += 1
     degrees[j] += 1
 
 
 @compiled
-def shortest_ways(joints, degrees, poses, source, lengths, before, queue, waiting):
-    """Write the lengths of the shortest ways from a place to all into `lengths` `(n,)`, metres; inf where none leads.
-
-    `before` `(n,)` becomes the place before each on its way, -1 at the source; `queue` and `waiting` are scratch.
-    """
-    n = lengths.shape[0]
+def shortest_paths(graph, source, paths, queue, waiting):
+    """Write the shortest paths from a keyframe into `paths`; `queue` and `waiting` `(n,)` are scratch."""
+    distances, predecessors = paths.distances, paths.predecessors
+    n = distances.shape[0]
     for i in range(n):
-        lengths[i] = math.inf
-        before[i] = -1
+        distances[i] = math.inf
+        predecessors[i] = -1
         waiting[i] = False
-    lengths[source] = 0.0
+    distances[source] = 0.0
     queue[0], head, count = source, 0, 1
     # Label correcting with a queue: the graph is a few long chains, so few labels are corrected twice.
     while count > 0:
@@ -48,13 +89,13 @@ def shortest_ways(joints, degrees, poses, source, lengths, before, queue, waitin
         head = (head + 1) % n
         count -= 1
         waiting[i] = False
-        for k in range(degrees[i]):
-            j = joints[i, k]
-            dx, dy = poses[j, 0] - poses[i, 0], poses[j, 1] - poses[i, 1]
-            length = lengths[i] + math.sqrt(dx * dx + dy * dy) + 1e-6
-            if length < lengths[j]:
-                lengths[j] = length
-                before[j] = i
+        for k in range(graph.degrees[i]):
+            j = graph.neighbors[i, k]
+            dx, dy = graph.poses[j, 0] - graph.poses[i, 0], graph.poses[j, 1] - graph.poses[i, 1]
+            length = distances[i] + math.sqrt(dx * dx + dy * dy) + 1e-6
+            if length < distances[j]:
+                distances[j] = length
+                predecessors[j] = i
                 if not waiting[j]:
                     queue[(head + count) % n] = j
                     count += 1
@@ -62,37 +103,40 @@ def shortest_ways(joints, degrees, poses, source, lengths, before, queue, waitin
 
 
 class Keyframes:
-    """Columns with a row for each place, which grow as places are added, and the joints between places.
+    """A table with a row for each keyframe, which grows as they are added, and the connections between them.
 
     Parameters
     ----------
     beams : int
+        Of the laser.
     sectors : int
+        Length of a keyframe's feature vectors.
+    config : KeyframeConfig, optional
 
     Attributes
     ----------
     pose : (n, 3) float64
-        In the frame of the track, which begins at (0, 0) with the compass's heading.
+        In the frame of the track, whose origin is where the robot began, with the axes of the compass.
     odometry : (n, 2) float64
-        Where dead reckoning alone would put it.
+        The position by dead reckoning alone.
     scan : (n, beams) float64
-    ends : (n, beams) float64
-        Those of the scan that are on walls as measured; see `sound_ends`.
+    endpoints : (n, beams) float64
+        The ranges of the scan that are matched; see `reliable_endpoints`.
     lines : (n, beams, 3) float64
-        Of the walls at these ends; see `wall_lines`.
+        The walls at these endpoints; see `fit_wall_lines`.
     features : (n, 2, sectors) float64
-        Ahead and back; see `sector_features`.
+        Looking ahead and looking back; see `sector_features`.
     compass : (n,) float64
-        Its reading as a heading.
+        Its reading, as a heading.
     direction, group, step : (n,) int64
     path : (n,) float64
-        Metres driven since the reset, by the distance meter.
+        Metres driven since the reset.
     """
 
     pose: np.ndarray
     odometry: np.ndarray
     scan: np.ndarray
-    ends: np.ndarray
+    endpoints: np.ndarray
     lines: np.ndarray
     features: np.ndarray
     compass: np.ndarray
@@ -100,30 +144,29 @@ class Keyframes:
     group: np.ndarray
     step: np.ndarray
     path: np.ndarray
-    joints: np.ndarray
+    neighbors: np.ndarray
     degrees: np.ndarray
     queue: np.ndarray
     waiting: np.ndarray
 
-    def __init__(self, beams: int, sectors: int) -> None:
+    def __init__(self, beams: int, sectors: int, config: KeyframeConfig | None = None) -> None:
+        self.config = config or KeyframeConfig()
         self.count = 0
-        self._columns = {
-            "pose": np.zeros((CAPACITY, 3)),
-            "odometry": np.zeros((CAPACITY, 2)),
-            "scan": np.zeros((CAPACITY, beams)),
-            "ends": np.zeros((CAPACITY, beams)),
-            "lines": np.zeros((CAPACITY, beams, 3)),
-            "features": np.zeros((CAPACITY, 2, sectors)),
-            "compass": np.zeros(CAPACITY),
-            "direction": np.zeros(CAPACITY, np.int64),
-            "group": np.zeros(CAPACITY, np.int64),
-            "step": np.zeros(CAPACITY, np.int64),
-            "path": np.zeros(CAPACITY),
-            "joints": np.zeros((CAPACITY, JOINTS), np.int64),
-            "degrees": np.zeros(CAPACITY, np.int64),
-            "queue": np.zeros(CAPACITY, np.int64),
-            "waiting": np.zeros(CAPACITY, np.bool_),
+        shapes: dict[str, tuple[int, ...]] = {
+            "pose": (3,),
+            "odometry": (2,),
+            "scan": (beams,),
+            "endpoints": (beams,),
+            "lines": (beams, 3),
+            "features": (2, sectors),
+            "compass": (),
+            "path": (),
         }
+        whole: dict[str, tuple[int, ...]] = {"direction": (), "group": (), "step": (), "degrees": (), "queue": ()}
+        whole["neighbors"] = (self.config.neighbors,)
+        self._columns: dict[str, np.ndarray] = {name: np.zeros((CAPACITY, *shape)) for name, shape in shapes.items()}
+        self._columns |= {name: np.zeros((CAPACITY, *shape), np.int64) for name, shape in whole.items()}
+        self._columns["waiting"] = np.zeros(CAPACITY, np.bool_)
         self._show()
 
     def _show(self) -> None:
@@ -132,7 +175,7 @@ class Keyframes:
             setattr(self, name, column[: self.count])
 
     def add(self, **values: Any) -> int:
-        """Add a place with a value for each attribute, joined to the last one; return its number."""
+        """Add a keyframe with a value for each attribute, connected to the last one; return its number."""
         if self.count == len(self._columns["step"]):
             self._columns = {name: np.concatenate([old, np.zeros_like(old)]) for name, old in self._columns.items()}
         self.count += 1
@@ -140,23 +183,27 @@ class Keyframes:
         for name, value in values.items():
             getattr(self, name)[-1] = value
         if self.count > 1:
-            self.join(self.count - 2, self.count - 1)
+            self.connect(self.count - 2, self.count - 1)
         return self.count - 1
 
-    def join(self, i: int, j: int) -> None:
-        """Let ways lead between two places."""
-        join(self.joints, self.degrees, i, j)
+    def connect(self, i: int, j: int) -> None:
+        """Let a way lead straight from one keyframe to another."""
+        connect(self.neighbors, self.degrees, i, j)
 
-    def ways_from(self, source: int) -> tuple[np.ndarray, np.ndarray]:
-        """Return the lengths `(n,)` of the shortest ways to all places, metres, and the place before each, `(n,)`."""
-        lengths, before = np.empty(self.count), np.empty(self.count, np.int64)
-        shortest_ways(self.joints, self.degrees, self.pose, source, lengths, before, self.queue, self.waiting)
-        return lengths, before
+    def geodesic_distances(self, source: int) -> Paths:
+        """Return the shortest paths from a keyframe to all others."""
+        paths = Paths(np.empty(self.count), np.empty(self.count, np.int64))
+        shortest_paths(Graph(self.neighbors, self.degrees, self.pose), source, paths, self.queue, self.waiting)
+        return paths
 
+    def is_direct(self, geodesic_m: np.ndarray, euclidean_m: np.ndarray, slack: float = 0.0) -> np.ndarray:
+        """Return where a way is so little longer than the straight line that no unclosed loop lies between its ends.
 
-def route(before: np.ndarray, target: int) -> list[int]:
-    """Return the places on the way to `target`, the source first."""
-    places = [target]
-    while before[places[-1]] >= 0:
-        places.append(int(before[places[-1]]))
-    return places[::-1]
+        Parameters
+        ----------
+        geodesic_m, euclidean_m : arrays
+            Lengths of the ways and of the straight lines.
+        slack : float
+            Metres more that the way may be longer.
+        """
+        return geodesic_m <= euclidean_m + self.config.detour + slack

@@ -1,41 +1,37 @@
-"""What one scan tells: where the robot can drive, what lies open, which places it sees.
+"""What takes wrong ranges out of a scan, and tells which of its endpoints lie on walls as they were measured.
 
-A scan is `(beams,)` ranges in metres, beam 0 straight ahead, counter-clockwise, evenly spaced. Its polygon is what the
-ends of its beams span: inside it all is free and seen. Poses are (x, y, heading) in the frame of the track.
-
-The kernels do not validate; angles are radians, and "beam" numbers may be fractions.
+A scan is `(beams,)` ranges in metres, beam 0 straight ahead, counter-clockwise, evenly spaced. Poses are
+(x, y, heading) in the frame of the track; angles are radians. The kernels do not validate.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
+from agents.settings import ComponentConfig
 from cyclic_env.jit import compiled
 
 SHORT_OF_REACH = 0.05
-"""Metres: a range that is less short of the laser's reach than that met no wall."""
-ASIDE = 0.3
-"""Metres that a point to drive to is off all walls: a little more than the robot's radius."""
-JUMP = 0.8
-"""Metres between neighbouring ranges from which there is an opening between them."""
-AT_WALL = 0.45
-"""Metres behind a wall at which a point is taken to be on it: drift and noise between scans, and niches of no use."""
-BESIDE = 1.0
-"""Metres from a scan within which all in sight is settled, or a robot at an opening would never be done with it."""
-NEAR_SIGHT = 0.6
-"""Metres beyond a scan's end that still count as in sight: to the edge of an opening, or a wall."""
-FIRM, DOUBTFUL, UNBOUNDED, UNCONFIRMED = 0, 1, 2, 3
-"""Kinds of open points: at a corner; on a wall seen at a slant, or an opening in it; with no wall within reach; any of
-these that too few scans see through to."""
-CONFIRM = 0.4
-"""Metres."""
-SOUND, SOUND_NOISE = 0.02, 2.5
-"""Metres by which an end may be moved from where it was measured; and, for noise moves all, how many times as far as
-the lower three quarters of them."""
-OFF_WALL = 0.15
-"""Metres: what is less off a wall's line is on it."""
+"""Metres of rounding: a range that is less short of the laser's reach than this met no wall."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilterConfig(ComponentConfig):
+    """Which ranges are believed."""
+
+    scans_to_confirm: int = 2
+    """Earlier scans, of which one must agree with a range."""
+    confirm_tolerance: float = 0.4
+    confirm_beams: int = 2
+    """Beams on either side within which an earlier scan is asked."""
+    shift_max: float = 0.02
+    """Metres by which the median filter may move an endpoint that is matched afterwards."""
+    shift_noise: float = 2.5
+    """Where noise makes it move all endpoints: how many times as far as `shift_quantile` of them."""
+    shift_quantile: float = 0.75
 
 
 @compiled
@@ -47,10 +43,10 @@ def _median_of_three(ranges, k):
 
 @compiled
 def despeckle(ranges, out):
-    """Write into `out` `(beams,)` the median of five beams, of what the median of three has made of the ranges.
+    """Write into `out` `(beams,)` the median of five beams, each of which is first the median of three.
 
-    Two wrong ranges are dropped. The median of five alone would, next to a wrong one, take the next beam's for a beam's
-    on a wall seen at a slant, and see through the wall.
+    This drops up to two wrong ranges in a row. The median of five alone would, next to a wrong range on a wall seen at
+    a slant, take the next beam's range, and so see through the wall.
     """
     a, b, c, d = (
         _median_of_three(ranges, -2),
@@ -60,17 +56,17 @@ def despeckle(ranges, out):
     )
     for k in range(ranges.shape[0]):
         e = _median_of_three(ranges, k + 2)
-        # The least and the most of the first four can't be the median; it is that of the two left and the fifth.
+        # The least and the greatest of the first four can't be the median: it is that of the other two and the fifth.
         low, high = max(min(a, b), min(c, d)), min(max(a, b), max(c, d))
         out[k] = max(min(low, high), min(max(low, high), e))
         a, b, c, d = b, c, d, e
 
 
 @compiled
-def confirm(ranges, pose, earlier, earlier_pose, confirmed):
-    """Set `confirmed` `(beams,)` where a beam's end agrees with an earlier scan, taken a short way off.
+def confirm(ranges, pose, earlier, earlier_pose, confirmed, tolerance, beams):
+    """Set `confirmed` `(beams,)` where an earlier scan, taken a short way off, agrees with a range.
 
-    Agreement is loose: within `CONFIRM` metres of what the earlier scan has within two beams of the end's bearing.
+    It agrees if the endpoint lies within `tolerance` of what the earlier scan shows within `beams` beams of it.
     """
     n = ranges.shape[0]
     spacing = 2 * math.pi / n
@@ -79,17 +75,17 @@ def confirm(ranges, pose, earlier, earlier_pose, confirmed):
         dx = pose[0] + ranges[k] * math.cos(angle) - earlier_pose[0]
         dy = pose[1] + ranges[k] * math.sin(angle) - earlier_pose[1]
         distance = math.sqrt(dx * dx + dy * dy)
-        centre = round((math.atan2(dy, dx) - earlier_pose[2]) / spacing)
+        center = round((math.atan2(dy, dx) - earlier_pose[2]) / spacing)
         least, most = math.inf, 0.0
-        for i in range(centre - 2, centre + 3):
+        for i in range(center - beams, center + beams + 1):
             least, most = min(least, earlier[i % n]), max(most, earlier[i % n])
-        if least - CONFIRM <= distance <= most + CONFIRM:
+        if least - tolerance <= distance <= most + tolerance:
             confirmed[k] = True
 
 
 @compiled
 def fill(ranges, confirmed, out):
-    """Write the ranges into `out` `(beams,)`, those not confirmed replaced by the nearer of the next confirmed ones."""
+    """Write the ranges into `out` `(beams,)`, unconfirmed ones replaced by the nearer of the next confirmed ones."""
     n = ranges.shape[0]
     for k in range(n):
         out[k] = ranges[k]
@@ -104,172 +100,15 @@ def fill(ranges, confirmed, out):
                 break
 
 
-def sound_ends(scan: np.ndarray, measured: np.ndarray, range_max: float) -> np.ndarray:
-    """Return the ranges `(beams,)` of a scan whose ends lie on walls as measured; `range_max` for all others.
+def reliable_endpoints(
+    scan: np.ndarray, measured: np.ndarray, range_max: float, config: FilterConfig | None = None
+) -> np.ndarray:
+    """Return the ranges `(..., beams)` of filtered scans that are as they were measured, `range_max` for the others.
 
-    What takes the speckle out of a scan also rounds the corners that it sees, by more than noise: ends that it has
-    moved would pull at a match, back to where the other scan was taken.
+    The filter also rounds corners, by more than noise. Matched, such endpoints would pull a scan back to where the
+    other one was taken.
     """
-    moved = np.abs(scan - measured)
-    return np.where(moved > SOUND + SOUND_NOISE * np.quantile(moved, 0.75), range_max, scan)
-
-
-@compiled
-def clear_lengths(ranges, half_width, out):
-    """Write into `out` `(beams,)` how far a body of that half width, metres, can go straight along each beam."""
-    n = ranges.shape[0]
-    spacing = 2 * math.pi / n
-    for k in range(n):
-        out[k] = ranges[k]
-    for k in range(n):
-        # A wall at this beam's end is in the way of all beams that pass it nearer than the half width.
-        r = ranges[k]
-        aside = math.asin(half_width / r) if r > half_width else math.pi / 2
-        reach = int(aside / spacing)
-        for offset in range(-reach, reach + 1):
-            other = (k + offset) % n
-            out[other] = min(out[other], r * math.cos(offset * spacing))
-
-
-@compiled
-def inside(ranges, x, y, heading, points, margin, out):
-    """Write into `out` `(n,)` which points `(n, 2)` the scan taken at a pose sees, at least `margin` before its end."""
-    n = ranges.shape[0]
-    spacing = 2 * math.pi / n
-    for i in range(points.shape[0]):
-        dx, dy = points[i, 0] - x, points[i, 1] - y
-        beam = (math.atan2(dy, dx) - heading) / spacing
-        low = math.floor(beam)
-        out[i] = math.sqrt(dx * dx + dy * dy) < min(ranges[low % n], ranges[(low + 1) % n]) - margin
-
-
-@compiled
-def seen_through(scans, poses, range_max, points, out):
-    """Write into `out` `(n,)` by how many scans `(m, beams)` at poses `(m, 3)` each point `(n, 2)` is seen as free.
-
-    The beam nearest to the point is asked, and it alone: the scans may be as measured, with ranges that are wrong. One
-    that met no wall sees through to points a little beyond its reach too.
-    """
-    n = scans.shape[1]
-    spacing = 2 * math.pi / n
-    for i in range(points.shape[0]):
-        out[i] = 0
-        for k in range(scans.shape[0]):
-            dx, dy = points[i, 0] - poses[k, 0], points[i, 1] - poses[k, 1]
-            beam = round((math.atan2(dy, dx) - poses[k, 2]) / spacing)
-            r = scans[k, beam % n]
-            out[i] += r >= range_max - SHORT_OF_REACH or math.sqrt(dx * dx + dy * dy) < r
-
-
-@compiled
-def settles(scans, poses, range_max, points, out):
-    """Write into `out` `(n,)` which points `(n, 2)` are open no more after scans `(m, beams)` at poses `(m, 3)`.
-
-    A scan settles what it sees beyond, what has a wall there, and what is in sight right beside it.
-    """
-    beams = scans.shape[1]
-    spacing = 2 * math.pi / beams
-    for i in range(points.shape[0]):
-        out[i] = False
-        for k in range(scans.shape[0]):
-            dx, dy = points[i, 0] - poses[k, 0], points[i, 1] - poses[k, 1]
-            beam = (math.atan2(dy, dx) - poses[k, 2]) / spacing
-            low = math.floor(beam)
-            a, b = scans[k, low % beams], scans[k, (low + 1) % beams]
-            wall = max(a, b) < range_max - SHORT_OF_REACH and abs(a - b) <= JUMP
-            distance = math.sqrt(dx * dx + dy * dy)
-            beyond = distance - min(a, b)
-            if beyond < (AT_WALL if wall else -0.15) or (distance < BESIDE and beyond < NEAR_SIGHT):
-                out[i] = True
-                break
-
-
-@compiled
-def _continues(ranges, range_max, k, step, far):
-    """Return whether the wall that ends at beam k, seen on the side of `step` (1 or -1), goes on to beam `far`."""
-    n = ranges.shape[0]
-    spacing = 2 * math.pi / n
-    x, y = ranges[k] * math.cos(k * spacing), ranges[k] * math.sin(k * spacing)
-    fx, fy = ranges[far] * math.cos(far * spacing), ranges[far] * math.sin(far * spacing)
-    along = math.sqrt((fx - x) ** 2 + (fy - y) ** 2)
-    for reach in range(1, 12):
-        i = (k + step * reach) % n
-        if ranges[i] >= range_max - SHORT_OF_REACH:
-            return False
-        dx, dy = ranges[i] * math.cos(i * spacing) - x, ranges[i] * math.sin(i * spacing) - y
-        base = math.sqrt(dx * dx + dy * dy)
-        if base >= max(0.4, 0.4 * along):  # the direction of a wall is as good as its base is long
-            off = abs((fx - x) * dy - (fy - y) * dx) / base
-            return off < OFF_WALL and (fx - x) * dx + (fy - y) * dy < 0.0
-    return False
-
-
-@compiled
-def open_points(ranges, range_max, out):
-    """Write points on the open edges of a scan's polygon into `out` `(m, 3)`; return how many.
-
-    A point is (range, beam, kind); see `FIRM`.
-
-    An edge is open where the range jumps by more than `JUMP` from one beam to the next, or where a beam ends
-    at no wall: behind it lies what the scan has not seen. Points near walls are left out, and edges between ends on one
-    wall, seen at a slant.
-    """
-    n = ranges.shape[0]
-    spacing = 2 * math.pi / n
-    free = range_max - SHORT_OF_REACH
-    count = 0
-    for k in range(n):
-        other = (k + 1) % n
-        a, b, kind = ranges[k], ranges[other], FIRM
-        if a >= free and b >= free:
-            first, last, beam, kind = range_max - 0.3, range_max, k + 0.5, UNBOUNDED
-        elif abs(a - b) > JUMP:
-            if _continues(ranges, range_max, k, -1, other) or _continues(ranges, range_max, other, 1, k):
-                # One wall seen at a slant, or an opening in it that both beams miss.
-                if abs(a - b) > 1.0 and count < out.shape[0]:
-                    out[count, 0], out[count, 1], out[count, 2] = 0.5 * (a + b), k + 0.5, DOUBTFUL
-                    count += 1
-                continue
-            # The longer beam passes the corner; points along it, a little off the corner.
-            first, last, beam = (
-                min(a, b) + min(1.0, 0.5 * abs(a - b)),
-                max(a, b) - 0.3,
-                float(k) if a > b else float(other),
-            )
-        else:
-            continue
-        r = first
-        while r < last and count < out.shape[0]:
-            x, y = r * math.cos(beam * spacing), r * math.sin(beam * spacing)
-            aside = True
-            for i in range(int(beam) - 25, int(beam) + 26):
-                j = i % n
-                if ranges[j] < free:
-                    dx, dy = ranges[j] * math.cos(j * spacing) - x, ranges[j] * math.sin(j * spacing) - y
-                    aside = aside and dx * dx + dy * dy >= ASIDE**2
-            if aside:
-                out[count, 0], out[count, 1], out[count, 2] = r, beam, kind
-                count += 1
-            r += 0.6
-    return count
-
-
-@compiled
-def clear_beam(clear, bearing, distance):
-    """Return the bearing nearest to `bearing` along which the way is clear for `distance` metres; NaN if none is."""
-    n = clear.shape[0]
-    spacing = 2 * math.pi / n
-    best, least = math.nan, math.inf
-    for k in range(n):
-        if clear[k] >= distance:
-            off = k * spacing - bearing
-            off -= 2 * math.pi * math.floor((off + math.pi) / (2 * math.pi))
-            if abs(off) < least:
-                best, least = bearing + off, abs(off)
-    return best
-
-
-def to_track(polar: np.ndarray, poses: np.ndarray, spacing: float) -> np.ndarray:
-    """Return points `(n, 2)` in the frame of the track, from (range, beam, ...) `(n, 2+)` at poses `(n, 3)`."""
-    angles = poses[:, 2] + polar[:, 1] * spacing
-    return poses[:, :2] + polar[:, :1] * np.column_stack([np.cos(angles), np.sin(angles)])
+    config = config or FilterConfig()
+    shift = np.abs(scan - measured)
+    typical = np.quantile(shift, config.shift_quantile, axis=-1, keepdims=True)
+    return np.where(shift > config.shift_max + config.shift_noise * typical, range_max, scan)

@@ -1,48 +1,115 @@
-"""Where one scan was taken relative to another: point-to-line matching of their ends, and whether the two agree.
+"""Where one scan was taken relative to another: point-to-line matching of their endpoints, and how well the two agree.
 
-Chen and Medioni's point-to-line form of ICP, with a prior, so that what the walls leave undetermined (the way along a
-plain corridor) stays as it was expected to be.
+Iterative closest points in the point-to-line form of Chen and Medioni (1992) and Censi (2008), with a robust weight and
+a prior, so that what the walls leave undetermined (the way along a plain corridor) stays as it was expected. An
+iteration takes the pose q = (x, y, heading) of a scan in the frame of the reference and
+
+1. associates each endpoint p, which lies at T(q) p there, with the nearest wall line (n, c) of the reference,
+   and takes its signed distance from that line as the error,
+
+       e(q) = n . T(q) p - c                                                   (Chen and Medioni; Censi)       (1)
+
+2. weighs it by the function of Cauchy's distribution, where sigma shrinks from one iteration to the next,
+
+       w = 1 / (1 + (e / sigma)^2)                                                                             (2)
+
+3. and solves the normal equations of the weighted squares for a step d, with J = de/dq and prior q0 of standard
+   deviations s (v is the variance of an endpoint about its wall),
+
+       (sum w J' J + v S) d = -(sum w J' e + v S (q - q0)),   S = diag(1 / s^2)                                (3)
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from agents.settings import ComponentConfig, kernel_tuple, pack
 from agents.slam.keyframes import Keyframes
 from agents.slam.scan_filters import SHORT_OF_REACH
 from agents.slam.se2 import compose, relative
 from cyclic_env.jit import compiled
 
-ROUNDS = 12
-SPREAD = 0.05
-"""Metres of an end about its wall: the noise of two scans, and their coarseness."""
-LOOSE = 2.0
-"""Ends that noise and outliers put along a plain corridor, where there is nothing to tell the way along it."""
-TOLERANCE = 0.25
-"""Metres by which ends may differ that agree."""
-FIT_BASE = 0.4
-"""Metres that the points of a fitted wall span at least: ten times the noise of a range."""
-FIT_ENOUGH = 1.0
-"""Metres beyond which no more points are added."""
-FIT_ERROR = 0.06
-"""Metres of rms at most between such points and their line."""
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MatcherConfig(ComponentConfig):
+    """Fitting of wall lines, and the iterations of a match."""
+
+    iterations: int = 12
+    iterations_min: int = 6
+    step_tolerance: float = 1e-3
+    """Metres and radians; a smaller step is the last."""
+    endpoint_std: float = 0.05
+    """Standard deviation of an endpoint about its wall: the noise of two scans, and their coarseness."""
+    gate: float = 1.0
+    """Distance from a wall up to which an endpoint is associated with it, in the first iteration."""
+    gate_decay: float = 0.7
+    """By which it is multiplied from one iteration to the next."""
+    gate_min: float = 0.15
+    cauchy_scale: float = 0.03
+    """Equation 2's sigma is this, and `cauchy_gate_share` of the gate."""
+    cauchy_gate_share: float = 0.3
+    search_beams: int = 6
+    """Beams of the reference on either side of an endpoint's bearing at which its wall is looked for."""
+    gap_share: float = 0.75
+    """How far along a wall an endpoint may lie from the reference's, as a share of the distance between these."""
+    incidence_min: float = 0.05
+    """Sine of the flattest angle at which a beam is taken to meet a wall."""
+    spurious_endpoints: float = 2.0
+    """What noise and outliers pretend to know of the way along a plain corridor, in endpoints: it is discounted."""
+    tolerance: float = 0.25
+    """Metres between endpoints that agree."""
+    line_reach_min: int = 2
+    line_reach_max: int = 8
+    """Neighbors on either side to which a line is fitted."""
+    line_length_min: float = 0.4
+    """Metres that they span at least: ten times the noise of a range."""
+    line_length_enough: float = 1.0
+    """Metres beyond which no more neighbors are taken."""
+    line_rms_max: float = 0.06
+    """Root mean square of their distances from the line, at most."""
+
+
+MatcherValues = kernel_tuple("MatcherValues", MatcherConfig, __name__)
+
+
+class Reference(NamedTuple):
+    """A scan that others are matched with: its ranges `(beams,)`, and its lines `(beams, 3)` from `fit_wall_lines`."""
+
+    ranges: np.ndarray
+    lines: np.ndarray
+
+
+class Prior(NamedTuple):
+    """An expected pose `(3,)` and its standard deviations `(3,)`, metres, metres and radians."""
+
+    pose: np.ndarray
+    std: np.ndarray
+
+
+class Estimate(NamedTuple):
+    """A pose `(3,)`, and the sums of equation 3: w J' J `(3, 3)` and w J' e `(3,)`."""
+
+    pose: np.ndarray
+    hessian: np.ndarray
+    gradient: np.ndarray
 
 
 @compiled
-def wall_lines(ranges, range_max, lines):
-    """Write into `lines` `(beams, 3)` the walls at the beams' ends: unit normal and offset, in the frame of the scan.
+def fit_wall_lines(ranges, range_max, lines, values):
+    """Write into `lines` `(beams, 3)` the walls at the endpoints: unit normal and offset, in the frame of the scan.
 
-    A point (x, y) is on a wall (nx, ny, offset) where nx x + ny y = offset. Lines are fitted to each end and as many of
-    its neighbours on both sides as are in line with it; (0, 0, 0) where these are too few, or no wall.
+    A point (x, y) is on a wall (nx, ny, offset) where nx x + ny y = offset. A line is fitted to each endpoint and as
+    many of its neighbors on both sides as are in line with it; (0, 0, 0) where these are too few, or met no wall.
     """
     n = ranges.shape[0]
     spacing = 2 * math.pi / n
     for k in range(n):
         lines[k, 0] = lines[k, 1] = lines[k, 2] = 0.0
-        for reach in range(2, 9):
+        for reach in range(values.line_reach_min, values.line_reach_max + 1):
             count = 2 * reach + 1
             mx = my = 0.0
             wall = True
@@ -54,8 +121,8 @@ def wall_lines(ranges, range_max, lines):
             if not wall:
                 break
             a, b = ranges[(k - reach) % n], ranges[(k + reach) % n]
-            base = math.sqrt(max(0.0, a * a + b * b - 2 * a * b * math.cos(2 * reach * spacing)))
-            if base < FIT_BASE:
+            length = math.sqrt(max(0.0, a * a + b * b - 2 * a * b * math.cos(2 * reach * spacing)))
+            if length < values.line_length_min:
                 continue
             xx = xy = yy = 0.0
             for i in range(k - reach, k + reach + 1):
@@ -65,135 +132,174 @@ def wall_lines(ranges, range_max, lines):
                 xy += dx * dy
                 yy += dy * dy
             across = 0.5 * (xx + yy - math.sqrt((xx - yy) ** 2 + 4 * xy * xy))
-            if across > count * FIT_ERROR**2:
+            if across > count * values.line_rms_max**2:
                 break
             along = 0.5 * math.atan2(2 * xy, xx - yy)
             lines[k, 0], lines[k, 1] = -math.sin(along), math.cos(along)
             lines[k, 2] = lines[k, 0] * mx + lines[k, 1] * my
-            if base > FIT_ENOUGH:
+            if length > values.line_length_enough:
                 break
 
 
 @compiled
-def align(reference, lines, ranges, range_max, prior, spread, pose, hessian):
-    """Find the pose `(3,)` of a scan in the frame of a reference scan, and how well it is determined.
+def associate(reference, pose, x, y, gate, values):
+    """Return the distance of a point from the nearest wall of the reference, its error (1), and the wall's normal.
+
+    The distance counts the way along the wall, too; it is `gate` if there is no wall within that.
+    """
+    ranges, lines = reference.ranges, reference.lines
+    n = ranges.shape[0]
+    spacing = 2 * math.pi / n
+    center = round(math.atan2(y, x) / spacing)
+    nearest, error, nx, ny = gate, 0.0, 0.0, 0.0
+    for i in range(center - values.search_beams, center + values.search_beams + 1):
+        j = i % n
+        # The scan must be on the side of the wall that the reference has seen: walls have two faces.
+        side = pose[0] * lines[j, 0] + pose[1] * lines[j, 1] - lines[j, 2]
+        if side * lines[j, 2] >= 0.0:  # also where there is no line
+            continue
+        dx = x - ranges[j] * math.cos(j * spacing)
+        dy = y - ranges[j] * math.sin(j * spacing)
+        off = x * lines[j, 0] + y * lines[j, 1] - lines[j, 2]
+        along = abs(dx * lines[j, 1] - dy * lines[j, 0])
+        # Endpoints on a wall seen at a slant lie far apart, and the wall goes on between them.
+        incidence = abs(math.cos(j * spacing) * lines[j, 0] + math.sin(j * spacing) * lines[j, 1])
+        along = max(0.0, along - values.gap_share * ranges[j] * spacing / max(incidence, values.incidence_min))
+        distance = abs(off) + along
+        if distance < nearest:
+            nearest, error, nx, ny = distance, off, lines[j, 0], lines[j, 1]
+    return nearest, error, nx, ny
+
+
+@compiled
+def accumulate(estimate, weight, error, nx, ny, turning):
+    """Add an endpoint to the sums of equation 3; J = (nx, ny, turning)."""
+    hessian, gradient = estimate.hessian, estimate.gradient
+    hessian[0, 0] += weight * nx * nx
+    hessian[0, 1] += weight * nx * ny
+    hessian[0, 2] += weight * nx * turning
+    hessian[1, 1] += weight * ny * ny
+    hessian[1, 2] += weight * ny * turning
+    hessian[2, 2] += weight * turning * turning
+    gradient[0] += weight * nx * error
+    gradient[1] += weight * ny * error
+    gradient[2] += weight * turning * error
+
+
+@compiled
+def linearize(reference, ranges, range_max, estimate, iteration, values):
+    """Write the sums of equation 3 about the pose of the estimate; return how many endpoints are on a wall."""
+    n = ranges.shape[0]
+    spacing = 2 * math.pi / n
+    pose = estimate.pose
+    gate = max(values.gate_min, values.gate * values.gate_decay**iteration)
+    sigma = values.cauchy_scale + values.cauchy_gate_share * gate
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    for i in range(3):
+        estimate.gradient[i] = 0.0
+        for j in range(3):
+            estimate.hessian[i, j] = 0.0
+    used = 0
+    for k in range(n):
+        r = ranges[k]
+        if r >= range_max - SHORT_OF_REACH:
+            continue
+        lx, ly = r * math.cos(k * spacing), r * math.sin(k * spacing)
+        rx, ry = cos * lx - sin * ly, sin * lx + cos * ly
+        distance, error, nx, ny = associate(reference, pose, pose[0] + rx, pose[1] + ry, gate, values)
+        if distance < gate:
+            used += 1
+            weight = 1.0 / (1.0 + (error / sigma) ** 2)  # (2)
+            accumulate(estimate, weight, error, nx, ny, nx * -ry + ny * rx)
+    return used
+
+
+@compiled
+def discount_weakest(estimate, endpoints):
+    """Take some endpoints' worth of information from the direction in which the position is known least.
+
+    With H and g the sums of equation 3 they become S H S and S g, where S shrinks that direction.
+    """
+    hessian, gradient = estimate.hessian, estimate.gradient
+    strong = 0.5 * math.atan2(2 * hessian[0, 1], hessian[0, 0] - hessian[1, 1])
+    w0, w1 = -math.sin(strong), math.cos(strong)
+    weak = w0 * w0 * hessian[0, 0] + 2 * w0 * w1 * hessian[0, 1] + w1 * w1 * hessian[1, 1]
+    share = 1.0 - (math.sqrt(1.0 - endpoints / weak) if weak > endpoints else 0.0)
+    h0, h1 = hessian[0, 0] * w0 + hessian[0, 1] * w1, hessian[0, 1] * w0 + hessian[1, 1] * w1
+    hessian[0, 0] += share * (share * weak * w0 * w0 - 2 * h0 * w0)
+    hessian[0, 1] += share * (share * weak * w0 * w1 - h0 * w1 - h1 * w0)
+    hessian[1, 1] += share * (share * weak * w1 * w1 - 2 * h1 * w1)
+    across, pull = w0 * hessian[0, 2] + w1 * hessian[1, 2], w0 * gradient[0] + w1 * gradient[1]
+    hessian[0, 2] -= share * across * w0
+    hessian[1, 2] -= share * across * w1
+    gradient[0] -= share * pull * w0
+    gradient[1] -= share * pull * w1
+
+
+@compiled
+def solve(estimate, prior, variance):
+    """Move the pose of the estimate by the step d of equation 3; return the step's size."""
+    pose, hessian, gradient = estimate.pose, estimate.hessian, estimate.gradient
+    p0, p1, p2 = variance / prior.std[0] ** 2, variance / prior.std[1] ** 2, variance / prior.std[2] ** 2
+    a, b, c = hessian[0, 0] + p0, hessian[0, 1], hessian[0, 2]
+    d, e, f = hessian[1, 1] + p1, hessian[1, 2], hessian[2, 2] + p2
+    g0 = gradient[0] + p0 * (pose[0] - prior.pose[0])
+    g1 = gradient[1] + p1 * (pose[1] - prior.pose[1])
+    g2 = gradient[2] + p2 * (pose[2] - prior.pose[2])
+    # Cramer's rule on the symmetric 3 x 3 system; the prior keeps its determinant positive.
+    m00, m01, m02 = d * f - e * e, c * e - b * f, b * e - c * d
+    determinant = a * m00 + b * m01 + c * m02
+    m11, m12, m22 = a * f - c * c, b * c - a * e, a * d - b * b
+    s0 = (m00 * g0 + m01 * g1 + m02 * g2) / determinant
+    s1 = (m01 * g0 + m11 * g1 + m12 * g2) / determinant
+    s2 = (m02 * g0 + m12 * g1 + m22 * g2) / determinant
+    pose[0] -= s0
+    pose[1] -= s1
+    pose[2] -= s2
+    return abs(s0) + abs(s1) + abs(s2)
+
+
+@compiled
+def align(reference, ranges, range_max, prior, estimate, values):
+    """Find the pose of a scan in the frame of a reference scan, and how well it is determined.
 
     Parameters
     ----------
-    reference, lines : (beams,) and (beams, 3)
-        The reference scan and its `wall_lines`.
+    reference : Reference
     ranges : (beams,)
-        The scan to be matched.
-    prior : (3,)
-        Expected pose (x, y, heading) in the reference's frame.
-    spread : (3,)
-        Standard deviations of the prior: metres, metres, radians.
-    pose : (3,) array
-        The result.
-    hessian : (3, 3) array
-        Sum of the squared gradients of the ends' errors, without the prior: divided by the variance of an end it
-        is the information about the pose.
+        The endpoints of the scan that are matched.
+    range_max : float
+    prior : Prior
+        In the reference's frame.
+    estimate : Estimate
+        The result. Its hessian is without the prior: divided by the variance of an endpoint about its wall, it is the
+        information that the walls give about the pose.
+    values : MatcherValues
 
     Returns
     -------
     used : int
-        Ends of beams that were put on a wall.
+        Endpoints that are on a wall.
     """
-    n = ranges.shape[0]
-    spacing = 2 * math.pi / n
-    pose[0], pose[1], pose[2] = prior[0], prior[1], prior[2]
+    pose, hessian = estimate.pose, estimate.hessian
+    pose[0], pose[1], pose[2] = prior.pose[0], prior.pose[1], prior.pose[2]
     used = 0
-    for turn in range(ROUNDS):
-        gate = max(0.15, 1.0 * 0.7**turn)
-        sigma = 0.03 + 0.3 * gate
-        cos, sin = math.cos(pose[2]), math.sin(pose[2])
-        for i in range(3):
-            for j in range(3):
-                hessian[i, j] = 0.0
-        g0 = g1 = g2 = 0.0
-        used = 0
-        for k in range(n):
-            r = ranges[k]
-            if r >= range_max - SHORT_OF_REACH:
-                continue
-            lx, ly = r * math.cos(k * spacing), r * math.sin(k * spacing)
-            rx, ry = cos * lx - sin * ly, sin * lx + cos * ly
-            x, y = pose[0] + rx, pose[1] + ry
-            centre = round(math.atan2(y, x) / spacing)
-            best, error, nx, ny = gate, 0.0, 0.0, 0.0
-            for i in range(centre - 6, centre + 7):
-                j = i % n
-                # The scan must be on the side of the wall that the reference has seen: walls have two faces.
-                side = pose[0] * lines[j, 0] + pose[1] * lines[j, 1] - lines[j, 2]
-                if side * lines[j, 2] >= 0.0:  # also where there is no line
-                    continue
-                dx = x - reference[j] * math.cos(j * spacing)
-                dy = y - reference[j] * math.sin(j * spacing)
-                off = x * lines[j, 0] + y * lines[j, 1] - lines[j, 2]
-                along = abs(dx * lines[j, 1] - dy * lines[j, 0])
-                # Ends on a wall seen at a slant lie far apart, and the wall goes on between them.
-                slant = abs(math.cos(j * spacing) * lines[j, 0] + math.sin(j * spacing) * lines[j, 1])
-                along = max(0.0, along - 0.75 * reference[j] * spacing / max(slant, 0.05))
-                distance = abs(off) + along
-                if distance < best:
-                    best, error, nx, ny = distance, off, lines[j, 0], lines[j, 1]
-            if best < gate:
-                used += 1
-                weight = 1.0 / (1.0 + (error / sigma) ** 2)
-                j2 = nx * -ry + ny * rx
-                hessian[0, 0] += weight * nx * nx
-                hessian[0, 1] += weight * nx * ny
-                hessian[0, 2] += weight * nx * j2
-                hessian[1, 1] += weight * ny * ny
-                hessian[1, 2] += weight * ny * j2
-                hessian[2, 2] += weight * j2 * j2
-                g0 += weight * nx * error
-                g1 += weight * ny * error
-                g2 += weight * j2 * error
-        # Along the direction in which the ends tell least, they count for less by LOOSE (the matrix becomes S H S).
-        strong = 0.5 * math.atan2(2 * hessian[0, 1], hessian[0, 0] - hessian[1, 1])
-        w0, w1 = -math.sin(strong), math.cos(strong)
-        weak = w0 * w0 * hessian[0, 0] + 2 * w0 * w1 * hessian[0, 1] + w1 * w1 * hessian[1, 1]
-        share = 1.0 - (math.sqrt(1.0 - LOOSE / weak) if weak > LOOSE else 0.0)
-        h0, h1 = hessian[0, 0] * w0 + hessian[0, 1] * w1, hessian[0, 1] * w0 + hessian[1, 1] * w1
-        hessian[0, 0] += share * (share * weak * w0 * w0 - 2 * h0 * w0)
-        hessian[0, 1] += share * (share * weak * w0 * w1 - h0 * w1 - h1 * w0)
-        hessian[1, 1] += share * (share * weak * w1 * w1 - 2 * h1 * w1)
-        across, pull = w0 * hessian[0, 2] + w1 * hessian[1, 2], w0 * g0 + w1 * g1
-        hessian[0, 2] -= share * across * w0
-        hessian[1, 2] -= share * across * w1
-        g0 -= share * pull * w0
-        g1 -= share * pull * w1
-        variance = SPREAD**2
-        p0, p1, p2 = variance / spread[0] ** 2, variance / spread[1] ** 2, variance / spread[2] ** 2
-        a, b, c = hessian[0, 0] + p0, hessian[0, 1], hessian[0, 2]
-        d, e, f = hessian[1, 1] + p1, hessian[1, 2], hessian[2, 2] + p2
-        turned = pose[2] - prior[2]
-        g0 += p0 * (pose[0] - prior[0])
-        g1 += p1 * (pose[1] - prior[1])
-        g2 += p2 * turned
-        # Cramer's rule on the symmetric 3 x 3 system; the prior keeps its determinant positive.
-        m00, m01, m02 = d * f - e * e, c * e - b * f, b * e - c * d
-        determinant = a * m00 + b * m01 + c * m02
-        m11, m12, m22 = a * f - c * c, b * c - a * e, a * d - b * b
-        s0 = (m00 * g0 + m01 * g1 + m02 * g2) / determinant
-        s1 = (m01 * g0 + m11 * g1 + m12 * g2) / determinant
-        s2 = (m02 * g0 + m12 * g1 + m22 * g2) / determinant
-        pose[0] -= s0
-        pose[1] -= s1
-        pose[2] -= s2
-        if turn > 4 and abs(s0) + abs(s1) + abs(s2) < 1e-3:
+    for iteration in range(values.iterations):
+        used = linearize(reference, ranges, range_max, estimate, iteration, values)
+        discount_weakest(estimate, values.spurious_endpoints)
+        moved = solve(estimate, prior, values.endpoint_std**2)
+        if iteration + 1 >= values.iterations_min and moved < values.step_tolerance:
             break
     hessian[1, 0], hessian[2, 0], hessian[2, 1] = hessian[0, 1], hessian[0, 2], hessian[1, 2]
     return used
 
 
 @compiled
-def agreement(reference, ranges, range_max, pose, tolerance):
-    """Return the share of a scan's ends that lie where the reference scan has its own, and how many these are.
+def compare_endpoints(reference, ranges, range_max, pose, tolerance):
+    """Return the share of a scan's endpoints that lie where the reference has its own, and how many these are.
 
-    An end beyond the reference's own end on that bearing is hidden from it and counts for nothing; one well before it
-    is against it. (Ask both ways round: each scan sees what the other can't.)
+    An endpoint beyond the reference's on that bearing is hidden from it and counts for nothing; one well before it
+    contradicts it. Ask both ways round: each scan sees what the other can't.
     """
     n = ranges.shape[0]
     spacing = 2 * math.pi / n
@@ -218,59 +324,81 @@ def agreement(reference, ranges, range_max, pose, tolerance):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Match:
-    """A scan matched with that of a place."""
+    """A scan matched with that of a keyframe."""
 
-    place: int
+    keyframe: int
     pose: np.ndarray
     """Of the scan, in the frame of the track, `(3,)`."""
     relative: np.ndarray
-    """The same in the frame of the place, `(3,)`."""
+    """The same in the frame of the keyframe, `(3,)`."""
     information: np.ndarray
     """Inverse covariance of `relative`, `(3, 3)`."""
-    agreement: float
-    """Share of ends that agree among those that can be judged, the less of both ways round."""
-    seen: int
-    """Ends that agree, likewise."""
-
-    @property
-    def firmness(self) -> float:
-        """How many ends, at least, speak for the position in any direction: few along a plain corridor."""
-        a, b, c = self.information[0, 0], self.information[0, 1], self.information[1, 1]
-        return SPREAD**2 * (0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b))
+    inlier_ratio: float
+    """Share of the endpoints that agree among those that can be judged: the less of both ways round."""
+    num_inliers: int
+    """Endpoints that agree: the fewer of both ways round."""
+    min_eigenvalue: float
+    """Of the information about the position, in endpoints: how many, at least, tell it in any direction. They are few
+    along a plain corridor."""
 
 
-def match(
-    places: Keyframes,
-    place: int,
-    scan: np.ndarray,
-    ends: np.ndarray,
-    expected: np.ndarray,
-    spread: np.ndarray,
-    range_max: float,
-) -> Match:
-    """Match a scan with a place's.
+class ScanMatcher:
+    """Matches scans with those of keyframes.
 
     Parameters
     ----------
-    places : Keyframes
-    place : int
-    scan, ends : (beams,)
-        The scan, and its `sound_ends`.
-    expected, spread : (3,)
-        Where it is expected to have been taken, in the frame of the track, and standard deviations of that.
     range_max : float
+        Reach of the laser, metres.
+    config : MatcherConfig, optional
     """
-    prior = relative(places.pose[place], expected)
-    pose, hessian = np.empty(3), np.empty((3, 3))
-    reference, lines = places.scan[place], places.lines[place]
-    align(reference, lines, ends, range_max, prior, spread, pose, hessian)
-    there, seen = agreement(reference, scan, range_max, pose, TOLERANCE)
-    back, seen_back = agreement(scan, reference, range_max, relative(pose, np.zeros(3)), TOLERANCE)
-    return Match(
-        place=int(place),
-        pose=compose(places.pose[place], pose),
-        relative=pose,
-        information=hessian / SPREAD**2,
-        agreement=min(there, back),
-        seen=min(seen, seen_back),
-    )
+
+    def __init__(self, range_max: float, config: MatcherConfig | None = None) -> None:
+        self.range_max = range_max
+        self.config = config or MatcherConfig()
+        self._values = pack(MatcherValues, self.config)
+
+    def wall_lines(self, endpoints: np.ndarray) -> np.ndarray:
+        """Return the wall lines `(beams, 3)` at the endpoints of a scan; see `fit_wall_lines`."""
+        lines = np.empty((len(endpoints), 3))
+        fit_wall_lines(endpoints, self.range_max, lines, self._values)
+        return lines
+
+    def match(
+        self,
+        keyframes: Keyframes,
+        keyframe: int,
+        scan: np.ndarray,
+        endpoints: np.ndarray,
+        expected: np.ndarray,
+        std: np.ndarray,
+    ) -> Match:
+        """Match a scan with a keyframe's.
+
+        Parameters
+        ----------
+        keyframes : Keyframes
+        keyframe : int
+        scan, endpoints : (beams,)
+            The scan, and its `reliable_endpoints`.
+        expected, std : (3,)
+            Where it is expected to have been taken, in the frame of the track, and the standard deviations of that.
+        """
+        prior = Prior(relative(keyframes.pose[keyframe], expected), std)
+        found = Estimate(np.empty(3), np.empty((3, 3)), np.empty(3))
+        reference = Reference(keyframes.scan[keyframe], keyframes.lines[keyframe])
+        align(reference, endpoints, self.range_max, prior, found, self._values)
+        back = relative(found.pose, np.zeros(3))
+        tolerance = self.config.tolerance
+        ratio, inliers = compare_endpoints(reference.ranges, scan, self.range_max, found.pose, tolerance)
+        ratio_back, inliers_back = compare_endpoints(scan, reference.ranges, self.range_max, back, tolerance)
+        information, variance = found.hessian / self.config.endpoint_std**2, self.config.endpoint_std**2
+        a, b, c = information[0, 0], information[0, 1], information[1, 1]
+        return Match(
+            keyframe=int(keyframe),
+            pose=compose(keyframes.pose[keyframe], found.pose),
+            relative=found.pose,
+            information=information,
+            inlier_ratio=min(ratio, ratio_back),
+            num_inliers=min(inliers, inliers_back),
+            min_eigenvalue=variance * (0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b)),
+        )

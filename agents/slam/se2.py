@@ -25,12 +25,12 @@ def relative(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def compose(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return, in the frame in which poses a are given, poses b that are given in the frames of a."""
+    """Return poses b, which are given in the frames of poses a, in the frame in which a are given."""
     cos, sin = np.cos(a[..., 2]), np.sin(a[..., 2])
     x, y = a[..., 0] + cos * b[..., 0] - sin * b[..., 1], a[..., 1] + sin * b[..., 0] + cos * b[..., 1]
     return np.stack([x, y, wrap_all(a[..., 2] + b[..., 2])], axis=-1)
 
 
-def distances(points: np.ndarray, point: np.ndarray) -> np.ndarray:
-    """Return the distances `(n,)` of points or poses `(n, 2+)` from one."""
+def euclidean_distances(points: np.ndarray, point: np.ndarray) -> np.ndarray:
+    """Return the distances `(n,)` of points or poses `(n, 2+)` from one point or pose."""
     return np.hypot(points[:, 0] - point[0], points[:, 1] - point[1])

@@ -1,86 +1,100 @@
-"""Where the robot is: dead reckoning, held straight by the matching of scans, and mended when a loop is closed."""
+"""Where the robot is: by dead reckoning, or corrected by matching scans and closing loops."""
 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
 
 import numpy as np
 
+from agents.settings import ComponentConfig
 from agents.slam.keyframes import Keyframes
-from agents.slam.pose_graph import optimise
-from agents.slam.scan_matching import SPREAD, Match, match
-from agents.slam.se2 import compose, distances, relative, wrap
-
-TURN_ERROR = math.radians(0.1)
-"""Of the heading that the matching of two scans a metre apart gives: measured in simulation, 0.03 to 0.12 degrees."""
-SHIFT_ERROR = 0.01
-"""Metres; of its position, likewise."""
-STEP_SPREAD = np.array([0.05, 0.05, math.radians(4)])
-"""Of dead reckoning from one place to the next, metres, metres and radians: what a worn robot does at most."""
-RETURN_SPREAD = np.array([0.3, 0.3, math.radians(5)])
-"""Of the track against a place nearby that was left a few places ago."""
-SURE = 0.75
-"""Share of two scans' ends that agree, from which a match on the way is taken."""
-ENDS = 40
-"""Ends that both have in sight, at least."""
-MEMORY = 30
-"""Keyframes over which the mean agreement of matches on the way is taken, and the mean error of the compass's turns."""
-LAG = 0.3
-"""Share of the compass's error at a place that is taken to last until the next: its field changes slowly."""
-DRIFT = 0.6
-"""Share of the compass's error from place to place, radians, that may be left in the headings of a long way."""
-FIELD_REACH = 100.0
-"""By so much less does each reading of the compass tell than its noise says: its field is alike over metres."""
-SCALE_SPREAD, SLIP = 0.03, 0.03
-"""Of the distance meter: its scale's deviation from 1 before anything is known, and metres of slip at each metre."""
-SCALE_ENDS, SCALE_DRIVEN, SCALE_TURN = 2.0, 0.5, 0.2
-"""A match tells the scale if so many ends speak for the way driven, over so many metres, with few radians turned."""
-SCALE_OFF = 0.02
-"""By which one match may call for another scale, beyond what is not known of it: a few find the way far too short."""
-TENSION = 0.5
-"""Metres by which returns have pulled at the track before it is spread over the places in between."""
+from agents.slam.pose_graph import PoseGraphConfig, optimize
+from agents.slam.scan_matching import Match, ScanMatcher
+from agents.slam.se2 import compose, euclidean_distances, relative, wrap
 
 
-class PoseTracker:
-    """The pose of the robot in a frame that begins at (0, 0) with the compass's heading, and its loops.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackerConfig(ComponentConfig):
+    """What is expected of the sensors, and which matches are taken."""
+
+    heading_std: float = math.radians(0.1)
+    """Of the heading that matching two scans a metre apart gives; in simulation 0.03 to 0.12 degrees."""
+    position_std: float = 0.01
+    """Of the position that it gives."""
+    step_position_std: float = 0.05
+    step_heading_std: float = math.radians(4)
+    """Of dead reckoning from one keyframe to the next: what a worn robot does at most."""
+    return_position_std: float = 0.3
+    return_heading_std: float = math.radians(5)
+    """Of the track against a keyframe nearby that was left a few keyframes ago."""
+    return_radius: float = 2.0
+    return_path: float = 8.0
+    return_age: int = 4
+    """A keyframe within this distance, and this way, and so many keyframes old is matched instead of the last."""
+    inlier_ratio_min: float = 0.75
+    inliers_min: int = 40
+    correction_max: float = 1.0
+    """A match is taken if so many endpoints agree, and it moves the robot by less than so many metres."""
+    memory: int = 30
+    """Keyframes over which the mean inlier ratio and the compass's variance are taken."""
+    bias_gain: float = 0.3
+    """Share of the compass's error at a keyframe that lasts until the next: the field in a building changes slowly."""
+    drift_share: float = 0.6
+    """Share of the compass's error from keyframe to keyframe that may be left in the headings of a long way."""
+    compass_correlation: float = 100.0
+    """Readings of the compass that count as one: its field is alike over metres."""
+    scale_std: float = 0.03
+    """Of the distance meter's scale, before anything is known of it."""
+    slip_std: float = 0.03
+    """Of the way driven, metres per square root of a metre."""
+    scale_endpoints: float = 2.0
+    scale_distance: float = 0.5
+    scale_turn: float = 0.2
+    """A match tells the scale if so many endpoints tell the way driven, over so many metres, turning less than this."""
+    scale_step: float = 0.02
+    """By how much one match may change the scale, beyond its uncertainty: a few find the way far too short."""
+    relax_after: float = 0.5
+    """Metres by which returns have corrected the track before it is spread over the keyframes in between."""
+
+
+class PoseTracker(ABC):
+    """The pose of the robot in a frame with its origin at the start and the axes of the compass.
 
     Parameters
     ----------
-    range_max : float
-        Reach of the laser, metres.
-    match_scans : bool
-        If not, the track is dead reckoning alone.
+    config : TrackerConfig, optional
 
     Attributes
     ----------
     pose : (3,) float64
     odometry : (2,) float64
-        Where dead reckoning alone puts the robot: the position that the compass and the distance meter give.
+        The position by dead reckoning alone, from the compass and the distance meter.
     path : float
-        Metres driven, forward and back.
+        Metres driven, forward and backward.
     scale : float
-        Metres driven for each that the distance meter shows, as the scans have it.
-    agreement : float
-        Mean of the latest matches on the way: how well two scans agree with this laser, in this building.
+        Metres driven for each metre that the distance meter shows.
+    inlier_ratio : float
+        Mean over the latest matches of successive scans: how well scans agree with this laser in this building.
+    compass_variance : float
+        Mean squared error of the compass's turns from keyframe to keyframe, as the scans have it.
     edges : list
-        Measured relations of places: (i, j, pose of j in i's frame `(3,)`, information `(3, 3)`).
+        Measured relations of keyframes: (i, j, pose of j in the frame of i `(3,)`, information `(3, 3)`).
     """
 
-    def __init__(self, range_max: float, match_scans: bool) -> None:
-        self.range_max = range_max
-        self.match_scans = match_scans
+    def __init__(self, config: TrackerConfig | None = None) -> None:
+        self.config = config or TrackerConfig()
         self.pose = np.zeros(3)
         self.odometry = np.zeros(2)
         self.path = 0.0
         self.scale = 1.0
-        self.agreement = 1.0
+        self.inlier_ratio = 1.0
+        self.compass_variance = 0.0
         self.edges: list[tuple[int, int, np.ndarray, np.ndarray]] = []
         self._distance = 0.0
         self._compass: float | None = None
-        self._bias = 0.0  # of the compass, as the scans have it
-        self._wander = 0.0  # mean squared error of its turns from place to place
-        self._tension = np.zeros(2)
-        self._scale_information = SCALE_SPREAD**-2
+        self._compass_bias = 0.0
 
     @property
     def compass(self) -> float:
@@ -89,119 +103,174 @@ class PoseTracker:
 
     @property
     def heading_information(self) -> float:
-        """Inverse variance of the compass's readings at the places, as the graph takes it."""
-        return 1 / max(FIELD_REACH * self._wander, TURN_ERROR**2)
+        """Inverse variance of the compass's readings at the keyframes, as the pose graph takes it."""
+        return 1 / max(self.config.compass_correlation * self.compass_variance, self.config.heading_std**2)
 
     @property
     def drift(self) -> float:
-        """Metres that the track may be off for every metre of way between two places."""
-        return DRIFT * math.sqrt(self._wander)
+        """Metres by which the track may err for every metre of way between two keyframes."""
+        return self.config.drift_share * math.sqrt(self.compass_variance)
 
     def advance(self, distance: float, compass: np.ndarray) -> None:
-        """Take a reading of the distance meter and of the compass `(2,)`."""
+        """Take a reading of the distance meter, metres, and of the compass `(2,)`, east and north."""
         heading = math.atan2(compass[1], compass[0])
         before = heading if self._compass is None else self._compass
         driven = 0.0 if self._compass is None else distance - self._distance
         self._distance = distance
-        middle = before + 0.5 * wrap(heading - before)  # an arc's chord points midway between its ends' headings
+        middle = before + 0.5 * wrap(heading - before)  # an arc's chord points midway between the headings at its ends
         self._compass = heading
         self.odometry += driven * np.array([math.cos(middle), math.sin(middle)])
         driven *= self.scale
-        self.pose[:2] += driven * np.array([math.cos(middle + self._bias), math.sin(middle + self._bias)])
-        self.pose[2] = wrap(heading + self._bias)
+        chord = middle + self._compass_bias
+        self.pose[:2] += driven * np.array([math.cos(chord), math.sin(chord)])
+        self.pose[2] = wrap(heading + self._compass_bias)
         self.path += abs(driven)
 
-    def localise(self, places: Keyframes, scan: np.ndarray, ends: np.ndarray, lengths: np.ndarray) -> None:
-        """Match a scan with the oldest place close by, or the last one, before the robot's place is added.
+    @abstractmethod
+    def localize(self, keyframes: Keyframes, scan: np.ndarray, endpoints: np.ndarray, geodesic_m: np.ndarray) -> None:
+        """Correct the pose by a scan, before its keyframe is added.
 
         Parameters
         ----------
-        places : Keyframes
-        scan, ends : (beams,)
-            The scan, and its `sound_ends`.
-        lengths : (n,)
-            Of the ways from the last place, metres.
+        keyframes : Keyframes
+        scan, endpoints : (beams,)
+            The scan, and its `reliable_endpoints`.
+        geodesic_m : (n,)
+            Lengths of the ways from the last keyframe.
         """
-        last = places.count - 1
-        if last < 0 or not self.match_scans:
+
+    @abstractmethod
+    def add_loop_closure(self, keyframes: Keyframes, found: Match) -> None:
+        """Accept that the last keyframe is where a match says, and correct the pose and all keyframes."""
+
+    @abstractmethod
+    def relax(self, keyframes: Keyframes) -> None:
+        """Correct the pose and all keyframes, if returns to known ground have pulled at the track since last time."""
+
+
+class DeadReckoningTracker(PoseTracker):
+    """The distance meter and the compass alone: nothing corrects the pose."""
+
+    def localize(self, keyframes: Keyframes, scan: np.ndarray, endpoints: np.ndarray, geodesic_m: np.ndarray) -> None:
+        """Do nothing."""
+
+    def add_loop_closure(self, keyframes: Keyframes, found: Match) -> None:
+        """Do nothing."""
+
+    def relax(self, keyframes: Keyframes) -> None:
+        """Do nothing."""
+
+
+class ScanMatchingTracker(PoseTracker):
+    """Dead reckoning, corrected by matching each keyframe's scan with an earlier one, and by closed loops.
+
+    Parameters
+    ----------
+    matcher : ScanMatcher
+    config : TrackerConfig, optional
+    pose_graph : PoseGraphConfig, optional
+    """
+
+    def __init__(
+        self, matcher: ScanMatcher, config: TrackerConfig | None = None, pose_graph: PoseGraphConfig | None = None
+    ) -> None:
+        super().__init__(config)
+        config = self.config
+        self.matcher = matcher
+        self.pose_graph = pose_graph or PoseGraphConfig()
+        self._accumulated_correction = np.zeros(2)
+        self._scale_information = config.scale_std**-2
+        self._step_std = np.array([config.step_position_std, config.step_position_std, config.step_heading_std])
+        self._return_std = np.array([config.return_position_std, config.return_position_std, config.return_heading_std])
+
+    def localize(self, keyframes: Keyframes, scan: np.ndarray, endpoints: np.ndarray, geodesic_m: np.ndarray) -> None:
+        """Match the scan with that of the oldest keyframe close by, or of the last one."""
+        last, config = keyframes.count - 1, self.config
+        if last < 0:
             return
         expected = self.pose.copy()
-        odometry = relative(places.pose[last], expected)
-        known = np.flatnonzero((distances(places.pose, expected) < 2.0) & (lengths < 8.0))
-        if len(known) and known[0] < last - 4:
-            found = match(places, known[0], scan, ends, expected, RETURN_SPREAD, self.range_max)
-            if self._fits(found):
-                self._add_edge(last, places.count, odometry, np.diag(STEP_SPREAD**-2))
-                self._add_edge(known[0], places.count, found.relative, found.information)
-                self._tension += found.pose[:2] - expected[:2]
+        odometry = relative(keyframes.pose[last], expected)
+        euclidean_m = euclidean_distances(keyframes.pose, expected)
+        known = np.flatnonzero((euclidean_m < config.return_radius) & (geodesic_m < config.return_path))
+        if len(known) and known[0] < last - config.return_age:
+            found = self.matcher.match(keyframes, known[0], scan, endpoints, expected, self._return_std)
+            if self._accepts(found):
+                self._add_edge(last, keyframes.count, odometry, np.diag(self._step_std**-2))
+                self._add_edge(known[0], keyframes.count, found.relative, found.information)
+                self._accumulated_correction += found.pose[:2] - expected[:2]
                 self._move(found.pose)
                 return
-        found = match(places, last, scan, ends, expected, STEP_SPREAD, self.range_max)
-        self.agreement += (found.agreement - self.agreement) / min(MEMORY, last + 1)
-        if self._fits(found):
-            turned = wrap(self.compass - places.compass[last] - found.relative[2])
-            self._wander += (turned**2 - self._wander) / min(MEMORY, last + 1)
-            # The compass has no drift, the scans' headings drift but little: a Kalman gain holds them together.
-            self._learn_scale(odometry, found)
-            gain = TURN_ERROR**2 / (TURN_ERROR**2 + self._wander)
-            found.pose[2] = wrap(found.pose[2] + gain * wrap(self.compass - found.pose[2]))
-            self._move(found.pose)
-            odometry = relative(places.pose[last], found.pose)
-            self._add_edge(last, places.count, odometry, found.information + np.diag(STEP_SPREAD**-2))
-        else:
-            self._add_edge(last, places.count, odometry, np.diag(STEP_SPREAD**-2))
+        found = self.matcher.match(keyframes, last, scan, endpoints, expected, self._step_std)
+        count = min(config.memory, last + 1)
+        self.inlier_ratio += (found.inlier_ratio - self.inlier_ratio) / count
+        if not self._accepts(found):
+            self._add_edge(last, keyframes.count, odometry, np.diag(self._step_std**-2))
+            return
+        turn_error = wrap(self.compass - keyframes.compass[last] - found.relative[2])
+        self.compass_variance += (turn_error**2 - self.compass_variance) / count
+        self._learn_scale(odometry, found)
+        # The compass doesn't drift, the scans' headings drift a little: a Kalman gain holds them together.
+        gain = config.heading_std**2 / (config.heading_std**2 + self.compass_variance)
+        found.pose[2] = wrap(found.pose[2] + gain * wrap(self.compass - found.pose[2]))
+        self._move(found.pose)
+        odometry = relative(keyframes.pose[last], found.pose)
+        self._add_edge(last, keyframes.count, odometry, found.information + np.diag(self._step_std**-2))
 
     def _learn_scale(self, odometry: np.ndarray, found: Match) -> None:
-        """Weigh what a match with the last place says of the distance meter's scale; see `SCALE_SPREAD`."""
+        """Let a match with the last keyframe correct the distance meter's scale, by a Kalman filter of one number."""
+        config, endpoint_std = self.config, self.matcher.config.endpoint_std
         driven = math.hypot(odometry[0], odometry[1])
-        if driven < SCALE_DRIVEN or abs(found.relative[2]) > SCALE_TURN:
+        if driven < config.scale_distance or abs(found.relative[2]) > config.scale_turn:
             return
-        # Without the prior: that pulled at the match by as much as the ends did the other way.
+        # Without the prior, which has pulled at the match by as much as the endpoints did the other way.
         covariance = np.linalg.inv(found.information + 1e-3 * np.eye(3))
-        free = found.relative + covariance @ ((found.relative - odometry) / STEP_SPREAD**2)
+        free = found.relative + covariance @ ((found.relative - odometry) / self._step_std**2)
         along = np.array([odometry[0], odometry[1], 0.0]) / driven
         variance = along @ covariance @ along
-        if variance > SPREAD**2 / SCALE_ENDS:
+        if variance > endpoint_std**2 / config.scale_endpoints:
             return
-        information = (driven / self.scale) ** 2 / (variance + SHIFT_ERROR**2 + SLIP**2 * driven)
-        off = self.scale * (along @ free) / driven - self.scale
-        most = math.sqrt(SCALE_OFF**2 + 1 / self._scale_information)
+        noise = variance + config.position_std**2 + config.slip_std**2 * driven
+        information = (driven / self.scale) ** 2 / noise
+        error = self.scale * (along @ free) / driven - self.scale
+        most = math.sqrt(config.scale_step**2 + 1 / self._scale_information)
         self._scale_information += information
-        self.scale += information / self._scale_information * max(-most, min(most, off))
+        self.scale += information / self._scale_information * max(-most, min(most, error))
 
-    def _fits(self, found: Match) -> bool:
-        off = math.hypot(*(found.pose[:2] - self.pose[:2]))
-        return found.agreement > SURE and found.seen > ENDS and off < 1.0
+    def _accepts(self, found: Match) -> bool:
+        correction = math.hypot(*(found.pose[:2] - self.pose[:2]))
+        agrees = found.inlier_ratio > self.config.inlier_ratio_min and found.num_inliers > self.config.inliers_min
+        return agrees and correction < self.config.correction_max
 
     def _move(self, pose: np.ndarray) -> None:
-        self._bias = wrap(self._bias + LAG * wrap(pose[2] - self.pose[2]))
+        self._compass_bias = wrap(self._compass_bias + self.config.bias_gain * wrap(pose[2] - self.pose[2]))
         self.pose = pose.copy()
 
     def _add_edge(self, i: int, j: int, measured: np.ndarray, information: np.ndarray) -> None:
-        floor = np.diag([SHIFT_ERROR**2, SHIFT_ERROR**2, TURN_ERROR**2])
+        floor = np.diag([self.config.position_std**2, self.config.position_std**2, self.config.heading_std**2])
         covariance = np.linalg.inv(information + 1e-6 * np.eye(3)) + floor
         self.edges.append((int(i), int(j), measured, np.linalg.inv(covariance)))
 
-    def close(self, places: Keyframes, found: Match) -> None:
-        """Take it that the last place is at a known one as a match says, and mend all places and the pose."""
-        self._add_edge(found.place, places.count - 1, found.relative, found.information)
-        self._mend(places)
+    def add_loop_closure(self, keyframes: Keyframes, found: Match) -> None:
+        """Add the match to the pose graph, and solve it."""
+        self._add_edge(found.keyframe, keyframes.count - 1, found.relative, found.information)
+        self._optimize(keyframes)
 
-    def relax(self, places: Keyframes) -> None:
-        """Mend all places and the pose, if returns have pulled at the track since that was done last."""
-        if math.hypot(*self._tension) > TENSION:
-            self._mend(places)
+    def relax(self, keyframes: Keyframes) -> None:
+        """Solve the pose graph, if returns have corrected the track by more than `relax_after` since the last time."""
+        if math.hypot(*self._accumulated_correction) > self.config.relax_after:
+            self._optimize(keyframes)
 
-    def _mend(self, places: Keyframes) -> None:
-        last = places.pose[-1].copy()
-        places.pose[:] = optimise(
-            places.pose,
+    def _optimize(self, keyframes: Keyframes) -> None:
+        last = keyframes.pose[-1].copy()
+        keyframes.pose[:] = optimize(
+            keyframes.pose,
             np.array([(i, j) for i, j, _, _ in self.edges]),
             np.array([measured for _, _, measured, _ in self.edges]),
             np.array([information for *_, information in self.edges]),
-            places.compass,
-            np.full(places.count, self.heading_information),
+            keyframes.compass,
+            np.full(keyframes.count, self.heading_information),
+            self.pose_graph,
         )
-        self.pose = compose(places.pose[-1], relative(last, self.pose))
-        self._bias = wrap(self._bias + places.pose[-1, 2] - last[2])
-        self._tension = np.zeros(2)
+        self.pose = compose(keyframes.pose[-1], relative(last, self.pose))
+        self._compass_bias = wrap(self._compass_bias + keyframes.pose[-1, 2] - last[2])
+        self._accumulated_correction = np.zeros(2)

@@ -1,12 +1,12 @@
-"""How much of a building looks like another part of it: the share of its places that have a look-alike far away.
+"""Perceptual aliasing: the share of a building's places that look like another place far away.
 
-A place is a point of a square lattice where the robot can stand. Its look is the noise-free scan there, its beams fixed
-to the world's axes, as a compass allows. Two places look alike when the ranges of their scans differ by less than
-`TOLERANCE` in the mean. A place has a look-alike when any point more than `FAR` away, on the lattice or off it, looks
-like it: so no mere shift of a building's half against the lattice can hide that it is the other's twin.
+Places are the points of a square lattice where the robot can stand. The appearance of a place is its noise-free scan,
+with the beams fixed to the world's axes, as a compass allows. Two places look alike when the ranges of their scans
+differ by less than `TOLERANCE` on average. A place is aliased when any point more than `MIN_DISTANCE` away looks like
+it. That point need not lie on the lattice, so twin halves of a building are found however the lattice falls on them.
 
-Look-alikes are searched for among the points of a lattice twice as fine; from the `CANDIDATES` most alike, if they
-differ by less than `HOPEFUL`, a pattern search moves on in ever smaller steps. It may miss one, but never invents one.
+The search compares each place with a lattice twice as fine. From the `NUM_CANDIDATES` points that look most like it, a
+pattern search proceeds in ever smaller steps. It may miss a look-alike, but never invents one.
 """
 
 from __future__ import annotations
@@ -21,255 +21,266 @@ from cyclic_env.config import ClosureConfig, LaserConfig, RobotConfig
 from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.jit import compiled
-from cyclic_env.simulation.lidar import beam_directions, scan_row
-from cyclic_env.simulation.wall_index import build_wall_index
+from cyclic_env.simulation.lidar import Beams, laser_beams, scan_row
+from cyclic_env.simulation.wall_index import WallIndex, build_wall_index
 
 SPACING = 1.0
-"""Metres between places."""
+"""Distance between neighbouring places, metres."""
 
 TOLERANCE = 0.25
-"""Metres of mean range difference below which two places look alike. By the noise of the preset `calibrated` alone, two
-scans from the same spot differ by 0.28 to 0.29 m: what differs by less, they can't tell apart."""
+"""Mean range difference below which two places look alike, metres. The noise of the preset `calibrated` alone makes two
+scans from the same spot differ by 0.28 to 0.29 m."""
 
-FAR = ClosureConfig().gap
-"""Metres, as the crow flies, from which a look-alike counts: as far as the path that makes a closure."""
+MIN_DISTANCE = ClosureConfig().gap
+"""Distance in a straight line from which a look-alike counts, metres: the path length that a closure requires."""
 
-CANDIDATES = 4
-HOPEFUL = 1.0
-"""Metres of mean range difference: half a step of the fine lattice aside, a place in a corridor differs from its twin
-by some 0.6 m."""
+NUM_CANDIDATES = 4
+MAX_CANDIDATE_DISTANCE = 1.0
+"""Mean range difference up to which a point is searched from, metres. In a corridor, a shift by half a step of the fine
+lattice changes the ranges by some 0.6 m."""
 
-CANDIDATES_APART = 1.0
-"""Metres between two candidates at least, so that the neighbours of one don't crowd out others."""
+CANDIDATE_SPACING = 1.0
+"""Least distance between two candidates, metres, so that the neighbours of one don't crowd out the others."""
 
 STEPS = (0.25, 0.125, 0.0625, 0.03125)
-"""Metres. The steps of the pattern search, the first half of the fine lattice's."""
+"""Step lengths of the pattern search, metres; the first is half a step of the fine lattice."""
 
-LATTICE_MAX = 2_000_000
-"""Most points of the fine lattice, in the rectangle around a plan: some 3 GB of scans."""
+MAX_LATTICE_POINTS = 2_000_000
+"""Points of the fine lattice in the rectangle around a plan: some 3 GB of scans."""
 
-AT_ONCE = 200
-"""Keyframes that are compared with all others in one call."""
+CHUNK = 200
+"""Places compared in one call of compiled code, between which Ctrl-C is heard and progress reported."""
 
 LASER = LaserConfig()
-SHUFFLE = 77
-"""Every 77th beam comes next: coprime with their number, and far from any simple share of a turn."""
+BEAM_STRIDE = 77
+"""Comparisons take every 77th beam next, which visits them all: a few beams then look all around, and most comparisons
+end early."""
 
 
 class AliasingResult(NamedTuple):
-    """The places of a building, and which of them have a look-alike.
+    """The places of a building, and which of them are aliased.
 
     Attributes
     ----------
-    places : (n, 2) float64
-        x and y, metres.
-    alike : (n,) bool
-        Whether another place, more than `FAR` away, looks like it.
+    positions : (n, 2) float64
+        x and y of the places, metres.
+    aliased : (n,) bool
+        Whether a point more than `MIN_DISTANCE` away looks like the place.
     """
 
-    places: np.ndarray
-    alike: np.ndarray
+    positions: np.ndarray
+    aliased: np.ndarray
 
     @property
     def share(self) -> float:
-        """Share of the places that have a look-alike."""
-        return float(self.alike.mean()) if len(self.alike) else 0.0
+        """Share of the places that are aliased; 0 where there are no places."""
+        return float(self.aliased.mean()) if len(self.aliased) else 0.0
+
+
+class _Views(NamedTuple):
+    """Points of a lattice, the scans from there, and what it takes to scan from elsewhere.
+
+    Attributes
+    ----------
+    walls : WallIndex
+    beams : Beams
+    positions : (m, 2) float64
+        Metres.
+    scans : (m, beams) float32
+        Metres.
+    inverse, ranges : (2 * beams,) and (beams,) float64
+        Scratch space.
+    """
+
+    walls: WallIndex
+    beams: Beams
+    positions: np.ndarray
+    scans: np.ndarray
+    inverse: np.ndarray
+    ranges: np.ndarray
 
 
 def perceptual_aliasing(
     plan: FloorPlan, radius: float = RobotConfig().radius, *, progress: Callable[[int, int], None] | None = None
 ) -> AliasingResult:
-    """Return the places of a building where a robot of that radius can stand, and which have a look-alike far away.
+    """Find the places of a building where a robot can stand, and which of them look like another place far away.
 
     Parameters
     ----------
     plan : FloorPlan
     radius : float
-        Of the robot, metres.
+        Radius of the robot, metres.
     progress : callable, optional
-        Called now and then with the number of places that have been compared, and of all.
+        Called now and then with the number of places compared so far and the number of all places.
 
     Raises
     ------
     FloorPlanError
         If the robot can't drive the plan, or the plan is too large.
     """
-    points, rows = _lattice(plan.reachable(radius))
-    tiles, directions = build_wall_index(plan, LASER.range_max), beam_directions(LASER)
+    positions, places = _lattice(plan.reachable(radius))
     beams = np.arange(LASER.num_beams)
-    scratch = np.empty(2 * len(beams)), np.empty(len(beams))
-    scans = np.empty((len(points), len(beams)), np.float32)
-    scan_points(tiles, points, directions, LASER.range_max, *scratch, scans)
-    chosen = np.empty((len(rows), CANDIDATES), np.int64)
-    # With the beams shuffled, any few of them look all around, and most comparisons end early.
-    shuffled = np.ascontiguousarray(scans[:, beams * SHUFFLE % len(beams)])
-    alike = np.empty(len(rows), np.bool_)
-    differences, steps = np.empty(CANDIDATES), np.array(STEPS)
-    for begin in range(0, len(rows), AT_ONCE):  # Ctrl-C is heard between two calls of compiled code
-        part = slice(begin, begin + AT_ONCE)
-        nearest_looks(points, shuffled, rows[part], FAR, HOPEFUL, CANDIDATES_APART, differences, chosen[part])
-        search_looks(
-            tiles,
-            points,
-            scans,
-            rows[part],
-            chosen[part],
-            directions,
-            LASER.range_max,
-            FAR,
-            TOLERANCE,
-            steps,
-            *scratch,
-            alike[part],
-        )
+    views = _Views(
+        walls=build_wall_index(plan, LASER.range_max),
+        beams=laser_beams(LASER),
+        positions=positions,
+        scans=np.empty((len(positions), len(beams)), np.float32),
+        inverse=np.empty(2 * len(beams)),
+        ranges=np.empty(len(beams)),
+    )
+    scan_all(views)
+    shuffled = np.ascontiguousarray(views.scans[:, beams * BEAM_STRIDE % len(beams)])
+    candidates = np.empty((len(places), NUM_CANDIDATES), np.int64)
+    aliased = np.empty(len(places), np.bool_)
+    for begin in range(0, len(places), CHUNK):
+        chunk = slice(begin, begin + CHUNK)
+        find_candidates(positions, shuffled, places[chunk], np.empty(NUM_CANDIDATES), candidates[chunk])
+        find_look_alikes(views, places[chunk], candidates[chunk], aliased[chunk])
         if progress is not None:
-            progress(min(part.stop, len(rows)), len(rows))
-    return AliasingResult(points[rows], alike)
-
-
-def aliasing(plan: FloorPlan) -> float:
-    """Return the share of a building's places that have a look-alike more than `FAR` away; 0 where there is none."""
-    return perceptual_aliasing(plan).share
+            progress(min(chunk.stop, len(places)), len(places))
+    return AliasingResult(positions[places], aliased)
 
 
 def _lattice(area: shapely.Polygon) -> tuple[np.ndarray, np.ndarray]:
     """Return the points of the fine lattice inside an area, `(m, 2)`, and the rows of those that are places."""
     west, south, east, north = area.bounds
-    fine = SPACING / 2
-    if (east - west) * (north - south) > LATTICE_MAX * fine**2:
+    step = SPACING / 2
+    if (east - west) * (north - south) > MAX_LATTICE_POINTS * step**2:
         raise FloorPlanError(
             f"a plan of {east - west:,.0f} m x {north - south:,.0f} m is too large to be searched for look-alikes: at "
-            f"most {LATTICE_MAX * fine**2:,.0f} m2; are the units metres?"
+            f"most {MAX_LATTICE_POINTS * step**2:,.0f} m2; are the units metres?"
         )
-    columns, rows = np.arange(np.ceil(west / fine), east / fine), np.arange(np.ceil(south / fine), north / fine)
+    columns, rows = np.arange(np.ceil(west / step), east / step), np.arange(np.ceil(south / step), north / step)
     i, j = (axis.ravel() for axis in np.meshgrid(columns, rows))
     shapely.prepare(area)
-    inside = shapely.contains_xy(area, fine * i, fine * j)
+    inside = shapely.contains_xy(area, step * i, step * j)
     i, j = i[inside], j[inside]
-    return fine * np.stack([i, j], axis=1), np.flatnonzero((i % 2 == 0) & (j % 2 == 0))
+    return step * np.stack([i, j], axis=1), np.flatnonzero((i % 2 == 0) & (j % 2 == 0))
 
 
 @compiled
-def scan_points(tiles, points, directions, range_max, inverse, ranges, scans):
-    """Write the scans `(m, beams)` float32 from points `(m, 2)`, beam 0 pointing east; two arrays are scratch."""
-    for i in range(points.shape[0]):
-        scan_row(tiles, 0, points[i, 0], points[i, 1], 0.0, directions, range_max, inverse, ranges)
-        for beam in range(ranges.shape[0]):
-            scans[i, beam] = ranges[beam]
+def scan_all(views):
+    """Write the scans from all points, with beam 0 pointing east."""
+    for i in range(views.positions.shape[0]):
+        _scan_from(views, views.positions[i, 0], views.positions[i, 1])
+        for beam in range(views.ranges.shape[0]):
+            views.scans[i, beam] = views.ranges[beam]
 
 
 @compiled
-def nearest_looks(points, scans, queries, far, hopeful, apart, differences, chosen):
-    """Choose for each of some points the others that look most like it.
+def find_candidates(positions, scans, places, differences, candidates):
+    """Find for each place the points far away that look most like it.
 
     Parameters
     ----------
-    points : (m, 2) float64
+    positions : (m, 2) float64
+        Metres.
     scans : (m, beams) float32
-        What is seen there.
-    queries : (n,) int64
-        Rows of `points`.
-    far, apart : float
-        Metres between a query and its candidates, and between these, at least.
-    hopeful : float
-        Mean range difference from which a point is no candidate, metres.
-    differences : (candidates,) float64
+        The scans from there, metres.
+    places : (n,) int64
+        Rows of `positions`.
+    differences : (c,) float64
         Scratch space.
-    chosen : (n, candidates) int64
-        Written: rows of `points`, the most alike first; -1 for none.
+    candidates : (n, c) int64
+        Written: rows of `positions`, most alike first; -1 where there are no more.
     """
-    candidates, num_beams = chosen.shape[1], scans.shape[1]
-    for q in range(queries.shape[0]):
-        query = queries[q]
-        best = chosen[q]
+    last, num_beams = candidates.shape[1] - 1, scans.shape[1]
+    for p in range(places.shape[0]):
+        place, best = places[p], candidates[p]
         best[:] = -1
-        differences[:] = hopeful * num_beams
-        for i in range(points.shape[0]):
-            dx, dy = points[i, 0] - points[query, 0], points[i, 1] - points[query, 1]
-            if dx * dx + dy * dy <= far * far:
+        differences[:] = MAX_CANDIDATE_DISTANCE * num_beams
+        for i in range(positions.shape[0]):
+            if _within(positions[i], positions[place], MIN_DISTANCE):
                 continue
-            limit, difference, beam = differences[candidates - 1], 0.0, 0
+            limit, difference, beam = differences[last], 0.0, 0
             while beam < num_beams and difference < limit:
-                difference += abs(scans[i, beam] - scans[query, beam])
+                difference += abs(scans[i, beam] - scans[place, beam])
                 beam += 1
             if difference >= limit:
                 continue
-            place = candidates - 1  # the candidate that gives way: a neighbour, else the last
-            for j in range(candidates - 1, -1, -1):
+            rank = last  # of the candidate to replace: a close neighbour of this point, else the last one
+            for j in range(last, -1, -1):
                 if best[j] >= 0:
-                    dx, dy = points[i, 0] - points[best[j], 0], points[i, 1] - points[best[j], 1]
-                    if dx * dx + dy * dy < apart * apart:
-                        place = j
-            if difference >= differences[place]:
+                    dx, dy = positions[i, 0] - positions[best[j], 0], positions[i, 1] - positions[best[j], 1]
+                    if dx * dx + dy * dy < CANDIDATE_SPACING * CANDIDATE_SPACING:
+                        rank = j
+            if difference >= differences[rank]:
                 continue
-            while place > 0 and differences[place - 1] > difference:
-                differences[place], best[place] = differences[place - 1], best[place - 1]
-                place -= 1
-            differences[place], best[place] = difference, i
+            while rank > 0 and differences[rank - 1] > difference:
+                differences[rank], best[rank] = differences[rank - 1], best[rank - 1]
+                rank -= 1
+            differences[rank], best[rank] = difference, i
 
 
 @compiled
-def search_looks(
-    tiles, points, scans, queries, chosen, directions, range_max, far, tolerance, steps, inverse, ranges, alike
-):
-    """Find out which of some points have a look-alike, by a pattern search from each of their candidates.
+def find_look_alikes(views, places, candidates, aliased):
+    """Find out which places have a look-alike, by a pattern search from each of their candidates.
 
     Parameters
     ----------
-    tiles : WallIndex
-        Of the one plan.
-    points, scans, queries, far
-        As for `nearest_looks`.
-    chosen : (n, candidates) int64
-        As `nearest_looks` wrote them.
-    directions : (2, 2 * beams) float64
-    range_max : float
-    tolerance : float
-        Mean range difference below which two places look alike, metres.
-    steps : (s,) float64
-        Of the search, metres, each tried east, north, west and south until it makes nothing better.
-    inverse, ranges : (2 * beams,) and (beams,) float64
-        Scratch space.
-    alike : (n,) bool
+    views : _Views
+    places : (n,) int64
+        Rows of the views' positions.
+    candidates : (n, c) int64
+        As `find_candidates` writes them.
+    aliased : (n,) bool
         Written.
     """
-    num_beams = ranges.shape[0]
-    for q in range(queries.shape[0]):
-        query = queries[q]
-        alike[q] = False
-        for candidate in chosen[q]:
-            if candidate < 0 or alike[q]:
+    for p in range(places.shape[0]):
+        aliased[p] = False
+        for candidate in candidates[p]:
+            if candidate < 0 or aliased[p]:
                 break
-            x, y = points[candidate, 0], points[candidate, 1]
-            best = _look_difference(tiles, x, y, directions, range_max, inverse, ranges, scans[query])
-            for step in steps:
-                moved = True
-                while moved and best >= tolerance:
-                    moved = False
-                    from_x, from_y = x, y
-                    for quarter in range(4):
-                        to_x = from_x + step * ((quarter == 0) - (quarter == 2))
-                        to_y = from_y + step * ((quarter == 1) - (quarter == 3))
-                        dx, dy = to_x - points[query, 0], to_y - points[query, 1]
-                        if dx * dx + dy * dy <= far * far:
-                            continue
-                        # Where the way there is free, it is in free space.
-                        scan_row(tiles, 0, from_x, from_y, 0.0, directions, range_max, inverse, ranges)
-                        if ranges[quarter * num_beams // 4] <= 2 * step:
-                            continue
-                        difference = _look_difference(
-                            tiles, to_x, to_y, directions, range_max, inverse, ranges, scans[query]
-                        )
-                        if difference < best:
-                            best, x, y, moved = difference, to_x, to_y, True
-            alike[q] = best < tolerance
+            aliased[p] = _least_difference(views, places[p], candidate) < TOLERANCE
 
 
 @compiled
-def _look_difference(tiles, x, y, directions, range_max, inverse, ranges, scan):
-    """Return the mean difference between the ranges at (x, y) and those of a scan, metres; writes `ranges`."""
-    scan_row(tiles, 0, x, y, 0.0, directions, range_max, inverse, ranges)
+def _least_difference(views, place, candidate):
+    """Return the least mean range difference to a place that a pattern search from a candidate finds, metres.
+
+    Each step length is tried to the east, north, west and south until it improves nothing. The search ends early once
+    the difference is below the tolerance.
+    """
+    position, scan, num_beams = views.positions[place], views.scans[place], views.ranges.shape[0]
+    x, y = views.positions[candidate, 0], views.positions[candidate, 1]
+    best = _difference_at(views, x, y, scan)
+    for step in STEPS:
+        moved = True
+        while moved and best >= TOLERANCE:
+            moved = False
+            from_x, from_y = x, y
+            for quarter in range(4):
+                to_x = from_x + step * ((quarter == 0) - (quarter == 2))
+                to_y = from_y + step * ((quarter == 1) - (quarter == 3))
+                if _within((to_x, to_y), position, MIN_DISTANCE):
+                    continue
+                _scan_from(views, from_x, from_y)
+                if views.ranges[quarter * num_beams // 4] <= 2 * step:  # the beam that way meets a wall too soon
+                    continue
+                difference = _difference_at(views, to_x, to_y, scan)
+                if difference < best:
+                    best, x, y, moved = difference, to_x, to_y, True
+    return best
+
+
+@compiled
+def _difference_at(views, x, y, scan):
+    """Return the mean difference between the ranges at (x, y) and those of a scan, metres."""
+    _scan_from(views, x, y)
     difference = 0.0
-    for beam in range(ranges.shape[0]):
-        difference += abs(ranges[beam] - scan[beam])
-    return difference / ranges.shape[0]
+    for beam in range(views.ranges.shape[0]):
+        difference += abs(views.ranges[beam] - scan[beam])
+    return difference / views.ranges.shape[0]
+
+
+@compiled
+def _scan_from(views, x, y):
+    """Write the scan from (x, y), heading east, into the views' ranges."""
+    scan_row(views.walls, 0, x, y, 0.0, views.beams, views.inverse, views.ranges)
+
+
+@compiled
+def _within(a, b, distance):
+    """Tell whether two points are at most that distance apart."""
+    dx, dy = a[0] - b[0], a[1] - b[1]
+    return dx * dx + dy * dy <= distance * distance

@@ -1,1 +1,1 @@
-"""The engine: one step of N robots. It is the only implementation of the environment."""
+"""The engine: one batched step of N robots, which both environments share."""

@@ -1,40 +1,41 @@
-"""`CyclicLoopEnv`: the environment for one robot, as Gymnasium knows it."""
+"""`CyclicLoopEnv`: the environment for one robot."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Unpack
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import gymnasium
 import numpy as np
 
-from cyclic_env.engine.engine import INFO, Engine, Settings, engine_config
-from cyclic_env.envs.spaces import (
+from cyclic_env.config import EnvConfig
+from cyclic_env.engine.building import INFO
+from cyclic_env.engine.engine import Engine
+from cyclic_env.envs.arguments import (
     RENDER_FPS,
     RENDER_MODES,
-    ExclusiveAccess,
-    action_space,
-    checked_render_mode,
-    checked_seed,
-    observation_space,
+    check_render_mode,
+    check_seed,
+    env_config,
     peek_rng,
-    restored,
-    snapshot,
     start_option,
 )
+from cyclic_env.envs.exclusive_access import ExclusiveAccess
+from cyclic_env.envs.spaces import action_space, observation_space
 from cyclic_env.errors import UsageError
 from cyclic_env.floor_plans import FloorPlan, MapName
 from cyclic_env.task.rewards import REWARD_TERMS
 
 
 class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
-    """A robot explores a building full of loops, and must say when it is back at a place that it knows, and which.
+    """A robot explores a building full of loops and has to recognize the places that it returns to.
 
-    The robot has two wheels, a laser, a distance meter and a compass. Corridors close on themselves: a *cycle*
-    is a block of the building that the robot can drive around. At every step the robot may claim to be back where
-    it was some steps ago. The claim is judged against the truth, and closes a cycle when the loop that it
-    completes goes around the building in a way that none before did. An episode succeeds when the building is
-    seen and all of its cycles are closed.
+    The robot has two wheels, a laser, a distance meter and a compass. The corridors close on themselves: a *cycle* is a
+    block of the building that the robot can drive around, in a lap of at least 40 m with two points at least 10 m apart
+    (see `cyclic_env.floor_plans.cycles`). In every step the robot may claim to be back where it was some steps ago. The
+    claim is judged by the true positions. A correct claim closes a new cycle when the loop that it completes runs
+    around the blocks of the building in a way that no combination of the loops before it does. An episode succeeds when
+    the whole building has been seen and all of its cycles are closed.
 
     **Action space**, by `action_type`:
 
@@ -44,11 +45,12 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | ``"twist"`` | ``Box(-1, 1, (4,), float32)`` | v (x 1.2 m/s), omega (x 3 rad/s), claim, match |
     | ``"discrete"`` | ``MultiDiscrete([5, 2])`` | stop, forward, left, right, back; claim or not |
 
-    A claim above 0 says "I am back at a known place", and match says when the robot was here: at step
-    ``k = rint((match + 1) / 2 * t)`` of the t steps so far, this one counted; k = 0 is the start. With discrete
-    actions the environment itself takes the nearest step that t returns to (a false claim where there is none), and
-    so tests the detection alone: do not compare it with the other types. There left and right turn
-    on the spot at 0.9 rad/s. Values out of range are clipped; a twist beyond the wheels' limit shrinks as a whole.
+    A claim above 0 says "I am back at a known place", and match says when the robot was here before: at step
+    ``k = rint((match + 1) / 2 * t)`` of the t steps so far, including this one; k = 0 is the start. A discrete claim
+    names no step. The environment takes the nearest one that the robot returns to (without one, the claim is false), so
+    it tests detection alone, and results can't be compared with those of the other types. Discrete left and right turn
+    on the spot at 0.9 rad/s. Values out of range are clipped; a twist that is too fast for the wheels is scaled down as
+    a whole.
 
     **Observation space**, a ``Dict`` of float32:
 
@@ -58,8 +60,8 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | ``distance`` | ``Box(-1e5, 1e5, (1,))`` | metres driven along the heading; reverse subtracts |
     | ``compass`` | ``Box(-1, 1, (2,))`` | unit vector of the heading, east and north |
 
-    Wheels that spin at a wall add no distance.
-    Dead reckoning is ``position += (distance - previous_distance) * compass``.
+    Wheels that spin at a wall add no distance. Dead reckoning is
+    ``position += (distance - previous_distance) * compass``.
 
     **Reward**: the sum of ``info["reward_terms"]``; a perfect episode is worth 100 less its time.
 
@@ -68,52 +70,54 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | ``coverage`` | 50 x share of the free cells newly seen (100 where the building has no cycle) |
     | ``new_cycle`` | 50 / cycles of the building, for each one closed |
     | ``false_claim`` | -5 for each |
-    | ``missed_revisit`` | -1 for each stretch of known ground that the robot passed without a correct claim |
+    | ``missed_revisit`` | -1 for each stretch of known ground, once, that the robot passed without a correct claim |
     | ``collision`` | -40 / step budget, for each step in which a wall pushed back |
-    | ``time`` | -10 / step budget, for each step |
+    | ``time`` | -10 / step budget, for each step; a collision that ends the episode is charged the rest of them |
 
     What the scan at the start sees is paid in the first step.
 
-    **Info** holds the same keys at every reset and step, Python scalars all but the last: ``is_success``,
-    ``coverage`` (share of the free cells seen), ``cycles_closed``, ``cycles_total``, ``revisit`` (the truth at this
-    step), ``claim_judged``, ``claim_correct``, ``claim_error_m`` (distance between the two places of a judged claim;
-    0.0 without one), ``claims`` (judged so far), ``false_claims``, ``revisits`` (settled so far),
-    ``revisits_recognised``, ``precision``, ``recall`` (1.0 where nothing could be wrong), ``new_cycle``,
-    ``collisions`` (contacts begun), ``path_length_m``, ``x``, ``y``, ``heading`` (the truth), ``reward_terms`` (dict
-    of floats).
-    What a revisit, a claim and a cycle are is defined in `cyclic_env.task.loop_closure`.
+    **Info** has the same keys after every reset and step. Its values are Python scalars: ``is_success``, ``coverage``
+    (share of the free cells that have been seen), ``cycles_closed``, ``cycles_total``, ``revisit`` (whether this step
+    truly is one), ``claim_judged``, ``claim_correct``, ``claim_error_m`` (distance between the two positions of a
+    judged claim; 0.0 without one), ``claims`` (judged so far), ``false_claims``, ``revisits`` (settled so far),
+    ``revisits_recognised``, ``precision``, ``recall`` (both 1.0 as long as nothing could be wrong), ``new_cycle``,
+    ``collisions`` (contacts begun), ``path_length_m``, and the true ``x``, ``y`` and ``heading``; and ``reward_terms``,
+    a dict of floats. `cyclic_env.task.loop_closure` defines revisits, claims and cycles.
 
-    **Start**: the plan's own, at rest; or ``reset(options={"start": (x, y, heading)})``; or random with `random_start`.
+    **Start**: at rest, at the start of the plan or of ``reset(options={"start": (x, y, heading)})``, or at a random one
+    with ``random_start=True``.
 
-    **Episode end**: terminated when 99 % of the cells are seen and all cycles are closed (``is_success``), or at the
-    first contact with ``terminate_on_collision=True``; truncated after `step_budget` steps.
+    **Episode end**: terminated when 99 % of the cells have been seen and all cycles are closed (``is_success``), or at
+    the first contact with ``terminate_on_collision=True``; truncated after `step_budget` steps.
 
     Parameters
     ----------
-    map_name : str, path, FloorPlan, or a list of these
-        A shipped plan (``cyclic_env.map_names()``), a YAML file, ours or that of a map of ROS, a generated building
-        (``"generated:cycles=4,seed=7"``), or a plan itself. A list is a pool, and so is ``"generated:train"``: every
-        reset draws one. Give names, and paths as text, where the environment's ``spec`` is to be written as JSON.
-    noise : str, NoiseConfig or mapping
-        Preset of the sensors' errors: ``"ideal"``, ``"calibrated"``, ``"typical"``, ``"poor"``; or your own.
-    action_type : {"wheels", "twist", "discrete"}
-    random_start : bool
-        Draw the start anywhere that the robot can reach.
-    terminate_on_collision : bool
-    step_budget : int, optional
-        By default three times the steps that it takes to drive through corridors 2 m wide with the plan's area.
-    robot, laser, closure, coverage, reward : settings or mapping, optional
-        See `cyclic_env.config`.
+    map_name : str, path, FloorPlan, or a list of these, optional
+        A shipped plan (``cyclic_env.map_names()``), a YAML file (a floor plan or a ROS map), a generated building
+        (``"generated:cycles=4,seed=7"``), or a plan itself. A list is a pool, as is ``"generated:train"``: every reset
+        draws one of its plans. The environment's ``spec`` can be written as JSON if maps are given as text.
+    config : EnvConfig or mapping, optional
+        All settings at once; by default the default settings.
     render_mode : {"human", "rgb_array"}, optional
+    **settings
+        Single fields of `cyclic_env.EnvConfig`, which lists them all, in place of the config's: ``noise="typical"``,
+        ``step_budget=2000``, ``laser={"num_beams": 90}``.
+
+    Attributes
+    ----------
+    config : EnvConfig
+    floor_plans : sequence of FloorPlan
+        The pool from which every reset draws a plan.
 
     Raises
     ------
     ConfigError, FloorPlanError, ActionError, UsageError
-        All of them `CyclicLoopError`: one line that says what is wrong and what to do.
+        All are `CyclicLoopError`: one line that says what is wrong and what to do.
 
     Version history
     ---------------
-    v0: the first.
+    v0: the first. Since rules 2 (`cyclic_env.task.loop_closure.RULES_VERSION`) ground counts once for revisit events,
+    and with them for ``missed_revisit``, precision and recall; a correct claim just before an event recognises it.
 
     References
     ----------
@@ -127,17 +131,19 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     def __init__(
         self,
-        map_name: MapName | Sequence[MapName] = "killian_court",
+        map_name: MapName | Sequence[MapName] | None = None,
         *,
+        config: EnvConfig | Mapping[str, Any] | None = None,
         render_mode: str | None = None,
-        **settings: Unpack[Settings],
+        **settings: Any,
     ) -> None:
-        self.engine = Engine(engine_config(map_name=map_name, **settings), num_robots=1)
-        self.action_space = action_space(self.engine.config.action_type)
-        self.observation_space = observation_space(self.engine.config.laser)
-        self.render_mode = checked_render_mode(render_mode)
+        self.config, self.floor_plans = env_config(map_name, config, settings)
+        self.engine = Engine(self.config, self.floor_plans, num_robots=1)
+        self.action_space = action_space(self.config.action_type)
+        self.observation_space = observation_space(self.config.laser)
+        self.render_mode = check_render_mode(render_mode)
         self._running = False
-        self._turn = ExclusiveAccess()
+        self._access = ExclusiveAccess()
         self._renderer: Any = None
 
     def reset(
@@ -155,12 +161,12 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         Raises
         ------
         ConfigError, FloorPlanError
-            If the seed or the start doesn't fit, or a plan that is new to the pool; the running episode goes on.
+            If the seed, the start, or the plan that the reset draws doesn't fit; the running episode goes on.
         """
-        with self._turn:
-            start, seed = start_option(options), checked_seed(seed)
+        with self._access:
+            start, seed = start_option(options), check_seed(seed)
             if start is not None or not self.engine.is_prepared:  # refuse before anything changes
-                self.engine.draw_place(peek_rng(self.np_random, seed), start)
+                self.engine.draw_start(peek_rng(self.np_random, seed), start)
             super().reset(seed=seed)
             self.engine.reset_row(0, self.np_random, start)
             self.engine.measure(np.zeros(1, np.int64), [self.np_random])
@@ -170,12 +176,10 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             return self._observation(), self._info()
 
     def step(self, action: Any) -> tuple[dict[str, np.ndarray], float, bool, bool, dict[str, Any]]:
-        """Drive for 0.2 s, and make a claim or none."""
-        with self._turn:
+        """Drive for one control step (0.2 s), and judge the claim if the action makes one."""
+        with self._access:
             if not self._running:
-                raise UsageError(
-                    "step() needs a running episode: call reset() first, and again after an episode has ended."
-                )
+                raise UsageError("there is no running episode: call reset() first, and again after each episode.")
             self.engine.step([action], [self.np_random])
             reward, terminated, truncated, *_ = self.engine.outcome[0].item()
             self._running = not (terminated or truncated)
@@ -199,16 +203,17 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     @property
     def step_budget(self) -> int:
         """After how many steps the running episode is truncated."""
-        return self.engine.config.step_budget_of(self.floor_plan)
+        return self.engine.step_budget(0)
 
     def trajectory(self) -> np.ndarray:
-        """Return the true way since the reset, `(t + 1, 3)`: x, y and path length, metres."""
+        """Return the true path since the reset, `(t + 1, 3)`: x, y and path length, metres."""
         return self.engine.trajectory(0)
 
     def claims(self) -> np.ndarray:
-        """Return the judged claims since the reset, in order: `(n,)` records of `cyclic_env.task.loop_closure.CLAIM`.
+        """Return the judged claims since the reset, in order: `(n,)` records of `cyclic_env.task.path_history.CLAIM`.
 
-        Their places are ``trajectory()[claims["step"]]`` and, but for a match of -1, ``trajectory()[claims["match"]]``.
+        They were made at ``trajectory()[claims["step"]]``, and named ``trajectory()[claims["match"]]`` unless the match
+        is -1.
         """
         return self.engine.claims(0)
 
@@ -233,19 +238,16 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             from cyclic_env.rendering.renderer import Renderer
 
             self._renderer = Renderer(self.render_mode, self.metadata["render_fps"])
-        return self._renderer.draw(self.engine, 0)
+        return self._renderer.draw(self)
 
     def close(self) -> None:
         """Close the window, if there is one, and end the threads."""
-        with self._turn:
+        with self._access:
             if self._renderer is not None:
                 self._renderer.close()
                 self._renderer = None
             self.engine.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        with self._turn:
-            return snapshot({**self.__dict__, "_renderer": None}, ("engine", "_np_random"))
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(restored(state))
+        with self._access:
+            return {**self.__dict__, "_renderer": None}

@@ -1,33 +1,36 @@
-"""`CyclicLoopVectorEnv`: the environment for many robots at once, as Gymnasium knows it."""
+"""`CyclicLoopVectorEnv`: the environment for many robots at once."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any, Unpack
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from cyclic_env.config import as_array, check_choice, is_integer
-from cyclic_env.engine.engine import INFO, NUM_ROBOTS_MAX, Engine, Settings, engine_config
-from cyclic_env.envs.spaces import (
+from cyclic_env.config import EnvConfig
+from cyclic_env.engine.building import INFO
+from cyclic_env.engine.engine import Engine
+from cyclic_env.engine.stage_timer import StageTimer
+from cyclic_env.envs.arguments import (
     RENDER_FPS,
     RENDER_MODES,
-    ExclusiveAccess,
-    action_space,
-    checked_render_mode,
-    checked_seed,
-    observation_space,
+    check_render_mode,
+    check_seed,
+    env_config,
     peek_rng,
-    restored,
-    snapshot,
     start_option,
 )
-from cyclic_env.errors import ConfigError, FloorPlanError, UsageError, short_repr
+from cyclic_env.envs.exclusive_access import ExclusiveAccess
+from cyclic_env.envs.spaces import action_space, observation_space
+from cyclic_env.errors import ConfigError, FloorPlanError, UsageError
 from cyclic_env.floor_plans import FloorPlan, MapName
 from cyclic_env.task.rewards import REWARD_TERMS
+from cyclic_env.validation import as_array, check_choice, is_integer, short_repr
+
+NUM_ENVS_MAX = 1_000_000
 
 
 class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarray]):
@@ -46,8 +49,17 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
     max_episode_steps : int, optional
         Truncates earlier than the step budget, and changes nothing else, as Gymnasium's ``TimeLimit`` does: a revisit
         that is going on then does not settle.
-    map_name, render_mode and all others
+    num_threads : int, optional
+        Threads that step the robots, at most as many as there are robots; they change no bit of the results. By
+        default as many as the process may use cores.
+    map_name, config, render_mode, **settings
         As for `CyclicLoopEnv`; ``reset(options={"start": ...})`` takes (3,) or (N, 3).
+
+    Attributes
+    ----------
+    config : EnvConfig
+    floor_plans : sequence of FloorPlan
+        The pool from which every reset draws a plan.
     """
 
     metadata: dict[str, Any] = {"render_modes": list(RENDER_MODES), "render_fps": RENDER_FPS}  # noqa: RUF012 (Gymnasium's own)
@@ -55,37 +67,34 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
     def __init__(
         self,
         num_envs: int = 1,
-        map_name: MapName | Sequence[MapName] = "killian_court",
+        map_name: MapName | Sequence[MapName] | None = None,
         *,
+        config: EnvConfig | Mapping[str, Any] | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         max_episode_steps: int | None = None,
+        num_threads: int | None = None,
         render_mode: str | None = None,
-        **settings: Unpack[Settings],
+        **settings: Any,
     ) -> None:
-        if not is_integer(num_envs) or not 1 <= num_envs <= NUM_ROBOTS_MAX:
-            raise ConfigError(
-                f"num_envs is {short_repr(num_envs)}; expected a whole number from 1 to {NUM_ROBOTS_MAX}."
-            )
-        num_envs = int(num_envs)
-        if max_episode_steps is not None and (not is_integer(max_episode_steps) or max_episode_steps < 1):
-            raise ConfigError(
-                f"max_episode_steps is {short_repr(max_episode_steps)}; expected a whole number of at least 1, or None."
-            )
+        self.num_envs = _check_count("num_envs", num_envs, NUM_ENVS_MAX)
+        self.max_episode_steps = (
+            _check_count("max_episode_steps", max_episode_steps) if max_episode_steps is not None else None
+        )
+        num_threads = _check_count("num_threads", num_threads) if num_threads is not None else None
         self.autoreset_mode = _autoreset_mode(autoreset_mode)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
-        self.engine = Engine(engine_config(map_name=map_name, **settings), num_envs)
-        self.num_envs = num_envs
-        self.single_action_space = action_space(self.engine.config.action_type)
-        self.single_observation_space = observation_space(self.engine.config.laser)
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.render_mode = checked_render_mode(render_mode)
-        self.max_episode_steps = max_episode_steps
+        self.config, self.floor_plans = env_config(map_name, config, settings)
+        self.engine = Engine(self.config, self.floor_plans, self.num_envs, num_threads)
+        self.single_action_space = action_space(self.config.action_type)
+        self.single_observation_space = observation_space(self.config.laser)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+        self.render_mode = check_render_mode(render_mode)
         self._rngs: list[np.random.Generator] = []
         self._seeds: list[int] = []
-        self._ended = np.zeros(num_envs, np.bool_)
-        self._all = np.ones(num_envs, np.bool_)
-        self._turn = ExclusiveAccess()
+        self._ended = np.zeros(self.num_envs, np.bool_)
+        self._all = np.ones(self.num_envs, np.bool_)
+        self._access = ExclusiveAccess()
         self._renderers: list[Any] = []
 
     @property
@@ -108,10 +117,9 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         Raises
         ------
         ConfigError, FloorPlanError
-            If the seeds, the mask or the starts don't fit, or a plan that is new to the pool; the running episodes go
-            on.
+            If the seeds, the mask, the starts, or the plans that the reset draws don't fit; the running episodes go on.
         """
-        with self._turn:
+        with self._access:
             start = start_option(options, "reset_mask")
             mask = self._mask(None if options is None else options.get("reset_mask"))
             rows = np.flatnonzero(mask)
@@ -120,30 +128,43 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
             if starts is not None or not self.engine.is_prepared:  # refuse before anything changes
                 rngs = self.np_random
                 for row in rows.tolist():
-                    self.engine.draw_place(peek_rng(rngs[row], seeds[row]), None if starts is None else starts[row])
+                    self.engine.draw_start(peek_rng(rngs[row], seeds[row]), None if starts is None else starts[row])
             self._seed(seeds, mask)
             self._reset_rows(rows, starts)
             return self.engine.observation(), self._infos(mask)
 
-    def step(self, actions: Any) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+    def step(
+        self, actions: Any, *, active: np.ndarray | None = None
+    ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step every row, and reset those that the autoreset mode says.
+
+        Parameters
+        ----------
+        actions : (N, ...) array
+        active : (N,) bool, optional
+            With ``DISABLED``: leave the other rows out, as ended ones must be until they are reset. They draw
+            nothing, and what is returned of them is that of their last step but for the reward, which is 0.
 
         Raises
         ------
         ActionError, UsageError
             If the actions don't fit, or there is no episode to go on with; nothing has changed.
         FloorPlanError
-            If a row that is reset draws a plan that does not suit the robot. The step has been taken, and the rows that
-            were to be reset are so in the next one, and draw anew.
+            If a row that is reset draws a plan that does not suit the robot. The step has been taken; the next one
+            resets that row again, which draws anew.
         """
-        with self._turn:
+        with self._access:
             ended = self._ended.copy()
-            if self.autoreset_mode == AutoresetMode.DISABLED and ended.any():
+            disabled = self.autoreset_mode == AutoresetMode.DISABLED
+            if active is not None and not disabled:
+                raise UsageError("only with the autoreset mode DISABLED can rows be left out of a step.")
+            skip = ended if active is None else ~active
+            if disabled and (ended if active is None else ended & active).any():
                 rows = short_repr(np.flatnonzero(ended).tolist())
                 raise UsageError(
                     f"the episodes of rows {rows} have ended: reset them with options={{'reset_mask': mask}} first."
                 )
-            self.engine.step(actions, self._rngs, skip=ended if ended.any() else None)
+            self.engine.step(actions, self._rngs, skip=skip if skip.any() else None)
             outcome = self.engine.outcome
             rewards, terminated, truncated = (
                 outcome["reward"].copy(),
@@ -151,10 +172,11 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
                 outcome["truncated"].copy(),
             )
             if self.max_episode_steps is not None:
-                truncated |= self.engine.episodes.memory.status["steps"] >= self.max_episode_steps
-            if ended.any():  # only with NEXT_STEP
+                truncated |= self.engine.steps >= self.max_episode_steps
+            rewards[skip] = 0.0
+            if ended.any() and not disabled:  # NEXT_STEP
                 self._reset_rows(np.flatnonzero(ended))
-                rewards[ended], terminated[ended], truncated[ended] = 0.0, False, False
+                terminated[ended], truncated[ended] = False, False
             ended = self._ended = terminated | truncated
             infos: dict[str, Any] = {}
             if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
@@ -188,7 +210,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         return values.copy() if mask is self._all else np.where(mask, values, np.zeros((), values.dtype))
 
     def _final_observation(self, ended: np.ndarray) -> np.ndarray:
-        """Return the last observations of the episodes that ended, as Gymnasium does: an array of dicts, or None."""
+        """Return the last observations of the episodes that ended, as Gymnasium does: an array of dicts and None."""
         final = np.full(self.num_envs, None, dtype=object)
         observation = self.engine.observation()
         for row in np.flatnonzero(ended):
@@ -212,8 +234,8 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
                 raise ConfigError(
                     f"{len(seed)} seeds were given for {self.num_envs} rows; give one seed, or one a row."
                 )
-            return [checked_seed(value) for value in seed]
-        first = checked_seed(seed)
+            return [check_seed(value) for value in seed]
+        first = check_seed(seed)
         return [None if first is None else first + row for row in range(self.num_envs)]
 
     def _mask(self, mask: Any) -> np.ndarray:
@@ -243,8 +265,27 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         """Return the building of a row's running episode."""
         return self.engine.plan(row)
 
+    def step_budget(self, row: int) -> int:
+        """Return after how many steps a row's running episode is truncated."""
+        return self.engine.step_budget(row)
+
+    @property
+    def info_records(self) -> np.ndarray:
+        """The infos of all rows as they are now, without the reward's terms: a read-only `(N,)` structured array.
+
+        It is cheaper than the infos that `step` returns, and always of the present moment.
+        """
+        records = self.engine.info.view()
+        records.flags.writeable = False
+        return records
+
+    def time_stages(self) -> StageTimer:
+        """Return a timer that from now on adds up how long the stages of each step take; see `StageTimer`."""
+        self.engine.timer = timer = StageTimer()
+        return timer
+
     def trajectory(self, row: int) -> np.ndarray:
-        """Return a row's true way since its reset, `(t + 1, 3)`: x, y and path length, metres."""
+        """Return a row's true path since its reset, `(t + 1, 3)`: x, y and path length, metres."""
         return self.engine.trajectory(row)
 
     def claims(self, row: int) -> np.ndarray:
@@ -266,22 +307,26 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
 
             count = 1 if self.render_mode == "human" else self.num_envs
             self._renderers = [Renderer(self.render_mode, self.metadata["render_fps"]) for _ in range(count)]
-        return tuple(renderer.draw(self.engine, row) for row, renderer in enumerate(self._renderers))
+        return tuple(renderer.draw(self, row) for row, renderer in enumerate(self._renderers))
 
     def close_extras(self, **kwargs: Any) -> None:
         """Close the window and end the threads."""
-        with self._turn:
+        with self._access:
             for renderer in self._renderers:
                 renderer.close()
             self._renderers = []
             self.engine.close()
 
     def __getstate__(self) -> dict[str, Any]:
-        with self._turn:
-            return snapshot({**self.__dict__, "_renderers": []}, ("engine", "_rngs", "_seeds", "_ended"))
+        with self._access:
+            return {**self.__dict__, "_renderers": []}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(restored(state))
+
+def _check_count(name: str, count: Any, most: int | None = None) -> int:
+    if not is_integer(count) or count < 1 or (most is not None and count > most):
+        limit = "of at least 1" if most is None else f"from 1 to {most}"
+        raise ConfigError(f"{name} is {short_repr(count)}; expected a whole number {limit}.")
+    return int(count)
 
 
 def _autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:

@@ -17,11 +17,11 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, VectorEnv
 from scipy.special import stdtrit
 
-from cyclic_env.config import is_integer
 from cyclic_env.console import ProgressLine
 from cyclic_env.envs.vector import CyclicLoopVectorEnv
-from cyclic_env.errors import ConfigError, short_repr
+from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import PlanPool, load_floor_plans, pool_label
+from cyclic_env.validation import is_integer, short_repr
 
 METRICS = (
     "cycles_closed",
@@ -341,7 +341,7 @@ def evaluate(
         return CyclicLoopVectorEnv(rows, plans, noise=noise, autoreset_mode="SAME_STEP", **settings)
 
     env = vector_env(pool, seeds)  # of all plans, which are checked here
-    config = env.engine.config
+    config = env.config
     made_for = getattr(policy, "action_type", config.action_type)
     if made_for != config.action_type:
         raise ConfigError(
@@ -381,7 +381,7 @@ def evaluate(
     return Evaluation(
         agent=agent,
         map=map_label,
-        noise=noise if isinstance(noise, str) else "custom",
+        noise=config.noise_name,
         action_type=config.action_type,
         random_start=config.random_start,
         episodes=records,

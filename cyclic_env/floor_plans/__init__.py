@@ -1,4 +1,4 @@
-"""Floor plans: the polygon of free space, reading and writing it, maps of ROS, and the library of names."""
+"""Floor plans: polygons of free space, files, maps of ROS, generated buildings, and the library of names."""
 
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
 from cyclic_env.floor_plans.generator.builder import generate
@@ -19,10 +19,9 @@ from cyclic_env.floor_plans.library import (
     map_names,
     separate_names,
 )
-from cyclic_env.floor_plans.occupancy.grid import (
-    OccupancyGrid,
+from cyclic_env.floor_plans.occupancy.grid import OccupancyGrid, rasterize
+from cyclic_env.floor_plans.occupancy.map_server import (
     occupancy_grid_from_mapping,
-    rasterise,
     read_occupancy_grid,
     write_occupancy_grid,
 )
@@ -46,7 +45,7 @@ __all__ = [
     "polygon_from_corridors",
     "polygon_from_rings",
     "pool_label",
-    "rasterise",
+    "rasterize",
     "read_floor_plan",
     "read_occupancy_grid",
     "separate_names",

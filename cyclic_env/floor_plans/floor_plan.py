@@ -1,4 +1,4 @@
-"""The floor plan of a building: its free space, the start, and the cycles to be closed."""
+"""The floor plan of a building: its free space, the start, and the cycles to close."""
 
 from __future__ import annotations
 
@@ -15,50 +15,60 @@ from shapely.geometry.polygon import orient
 from shapely.ops import nearest_points
 from shapely.validation import explain_validity
 
-from cyclic_env.errors import FloorPlanError, short_repr
+from cyclic_env.config import ClosureConfig, RobotConfig
+from cyclic_env.errors import FloorPlanError
+from cyclic_env.floor_plans.cycles import find_cycles
+from cyclic_env.validation import short_repr
 
 MIN_CYCLE_LENGTH = 40.0
-"""Length in metres from which the ring of a hole is a cycle: twice the path that a closure needs, so that a
-lap is long enough to count, and pillars and tables are not."""
+"""Length from which the lap around a hole makes it a cycle, metres: twice the path length that a closure requires, so
+that pillars and tables are no cycles."""
 
 NOOK_AREA = 1.0
-"""Square metres that the robot's body may miss at one place: nooks and sharp corners, which the laser sees."""
+"""Area of nooks and sharp corners that the robot need not cover, because the laser sees them, square metres."""
 
 LOST_SHARE_MAX = 0.02
-"""Share of the free space that may lie in larger places out of the robot's way: coverage needs nearly all seen."""
+"""Share of the free space that may lie in larger places out of the robot's reach: nearly all must be seen."""
 
 RESOLUTION = 1e-6
-"""Points nearer than this, metres, are one: a thousand times finer than any survey, far coarser than rounding."""
+"""Points closer together than this are one, metres: far finer than any survey, far coarser than rounding."""
 
 COORDINATE_MAX = 1e5
-"""Largest coordinate, metres: 100 km, where a float64 still resolves far less than a nanometre."""
+"""Greatest coordinate, metres: at 100 km a float64 still resolves far less than a nanometre."""
+
+SMALLER_ROBOT = "give a smaller robot, such as robot={'radius': 0.2}"
+"""The cure that errors name where the robot is too large."""
 
 Pose = tuple[float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class FloorPlan:
-    """Free space of a building as a polygon with holes, x east and y north, in metres.
+    """The free space of a building, a polygon with holes in metres (x east, y north), with a start pose.
 
     Parameters
     ----------
     name : str
         Short name, unique in a pool of plans.
     free_space : shapely Polygon
-        Where a point robot may be. Must be valid; is oriented so that free space lies left of every wall.
+        Where a point robot may be. Must be valid; is oriented such that free space lies to the left of every wall.
     start : (x, y, heading)
         Default start pose, metres and radians.
     title, source, licence : str
-        For people: what it is and why it is there, where it comes from, what may be done with it.
+        For people: what the building is, where the plan comes from, and what may be done with it.
     centrelines : sequence of sequences of (x, y)
-        Middles of the corridors, where known, as polylines that meet or cross where corridors do.
+        Centrelines of the corridors, if known, as polylines that meet or cross where corridors do.
     file : str
-        The file it was read from, if any; named in messages.
+        The file that the plan was read from, if any; named in messages.
+    traced : bool
+        Whether the file is a map, which is traced again for a robot of another radius.
+    robot_radius, leave_radius : float
+        Radius of the robot that the cycles (and the tracing) are for, and the least extent of a lap, metres.
 
     Raises
     ------
     FloorPlanError
-        If the polygon is empty, crosses itself or is too far away, or the start is not inside it.
+        If the polygon is empty, crosses itself or is too far from the origin, or the start is not inside it.
     """
 
     name: str
@@ -69,6 +79,9 @@ class FloorPlan:
     licence: str = ""
     centrelines: tuple[tuple[tuple[float, float], ...], ...] = field(default=())
     file: str = ""
+    traced: bool = False
+    robot_radius: float = RobotConfig().radius
+    leave_radius: float = ClosureConfig().leave_radius
 
     def __post_init__(self) -> None:
         polygon = self.free_space
@@ -78,7 +91,7 @@ class FloorPlan:
                     f"{self._label}: the free space has coordinates that are not from {-COORDINATE_MAX:g} to "
                     f"{COORDINATE_MAX:g}; move the building to the origin, and give metres."
                 )
-            # A point given twice would be a wall without a direction, a height a third column.
+            # A repeated point would be a wall without a direction, and a height a third column.
             polygon = shapely.remove_repeated_points(shapely.force_2d(polygon), RESOLUTION)
         if not isinstance(polygon, Polygon) or polygon.is_empty:
             raise FloorPlanError(f"{self._label}: the free space must be one polygon that is not empty.")
@@ -114,30 +127,32 @@ class FloorPlan:
 
     @cached_property
     def rings(self) -> list[np.ndarray]:
-        """Exterior and holes, each `(n, 2)` without the closing point; free space lies on the left."""
+        """Exterior and holes, each `(n, 2)` without the closing point; free space lies to the left."""
         polygon = self.free_space
         return [np.array(ring.coords)[:-1] for ring in (polygon.exterior, *polygon.interiors)]
 
     @cached_property
     def walls(self) -> np.ndarray:
-        """All walls as directed segments `(W, 4)`: x1, y1, x2, y2; free space lies on the left."""
+        """All walls as directed segments `(W, 4)`: x1, y1, x2, y2; free space lies to the left."""
         return np.concatenate([np.hstack([ring, np.roll(ring, -1, axis=0)]) for ring in self.rings])
 
     @cached_property
     def cycles(self) -> list[Polygon]:
-        """The holes that the robot can drive around in a lap long enough to count, largest first."""
-        holes = [Polygon(ring) for ring in self.free_space.interiors if ring.length >= MIN_CYCLE_LENGTH]
-        return sorted(holes, key=lambda hole: -hole.exterior.length)
+        """The holes that the robot can drive around in a lap that counts, those with the longest rings first.
+
+        The lap is as short as possible, at least 40 m long, and has two points at least `leave_radius` apart.
+        """
+        return find_cycles(self.free_space, self.start, self.robot_radius, MIN_CYCLE_LENGTH, self.leave_radius)
 
     @cached_property
     def cycle_anchors(self) -> np.ndarray:
-        """A point well inside the hole of each cycle, `(C, 2)`: winding numbers are counted about these."""
+        """A point inside the hole of each cycle, `(C, 2)`, about which winding numbers are counted."""
         points = [hole.representative_point() for hole in self.cycles]
         return np.array([[point.x, point.y] for point in points]).reshape(-1, 2)
 
     @property
     def cycles_total(self) -> int:
-        """How many independent cycles there are to close."""
+        """Number of independent cycles that there are to close."""
         return len(self.cycles)
 
     @property
@@ -147,11 +162,11 @@ class FloorPlan:
 
     @property
     def bounds(self) -> tuple[float, float, float, float]:
-        """West, south, east and north end of the free space, metres."""
+        """West, south, east and north bound of the free space, metres."""
         return self.free_space.bounds
 
     def prepared_space(self) -> Polygon:
-        """Return a copy of the free space that answers many questions quickly, but not those of two threads at once."""
+        """Return a copy of the free space, prepared for many fast queries; it must not be shared between threads."""
         space = copy.deepcopy(self.free_space)
         shapely.prepare(space)
         return space
@@ -162,8 +177,8 @@ class FloorPlan:
         Raises
         ------
         FloorPlanError
-            If the robot does not fit at `position`, or `position` lies in a pocket that it can't leave, or
-            it can't drive around every cycle or reach nearly all of the building: each with a place to mend.
+            If the robot does not fit at `position`, if that is in a pocket that it can't leave, or if it can't reach
+            nearly all of the building. The message names the place to mend.
         """
         x, y = (self.start if position is None else position)[:2]
         self._check_inside(x, y)
@@ -171,59 +186,51 @@ class FloorPlan:
         what = f"{self._label}: start ({x:g}, {y:g})"
         parts = [part for part in shapely.get_parts(self.free_space.buffer(-radius)) if not part.is_empty]
         if not parts:
-            raise FloorPlanError(f"{self._label}: a robot of radius {radius:g} m fits nowhere; are the units metres?")
+            raise FloorPlanError(
+                f"{self._label}: a robot of radius {radius:g} m fits nowhere. If the units are metres, {SMALLER_ROBOT}."
+            )
         home = next((part for part in parts if part.covers(point)), None)
         if home is None:
             clearance = self.free_space.boundary.distance(point)
             free = min((nearest_points(part, point)[0] for part in parts), key=point.distance)
             raise FloorPlanError(
                 f"{what} is {clearance:.2f} m from a wall, but the robot's radius is {radius:g} m; "
-                f"move it off the wall, for example to ({free.x:.1f}, {free.y:.1f})."
+                f"move it off the wall, for example to ({free.x:.1f}, {free.y:.1f}), or {SMALLER_ROBOT}."
             )
         largest = max(parts, key=lambda part: part.area)
         if home is not largest:
             inside = largest.representative_point()
             raise FloorPlanError(
                 f"{what} lies in a pocket of {home.area:.1f} m2 that a robot of radius {radius:g} m can't leave; "
-                f"start elsewhere, for example at ({inside.x:.1f}, {inside.y:.1f})."
+                f"start elsewhere, for example at ({inside.x:.1f}, {inside.y:.1f}), or {SMALLER_ROBOT}."
             )
         self._check_passable(home, radius)
         return home
 
     def unreached(self, home: Polygon, radius: float) -> list[Polygon]:
-        """Return the places, nooks aside, that a robot of that radius does not cover while its centre is in `home`."""
+        """Return the places larger than nooks that a robot with its centre in `home` does not cover."""
         swept = shapely.make_valid(home.buffer(radius * 1.01, join_style="mitre"))  # mitres may cross
         return [part for part in shapely.get_parts(self.free_space.difference(swept)) if part.area > NOOK_AREA]
 
     def _check_passable(self, home: Polygon, radius: float) -> None:
-        """Raise unless a robot whose centre stays in `home` can lap each cycle alone and come nearly everywhere."""
+        """Raise unless a robot whose centre stays in `home` comes nearly everywhere."""
         lost = self.unreached(home, radius)
-        laps = [Polygon(ring) for ring in home.interiors]
-        for hole in self.cycles:
-            lap = next((lap for lap in laps if lap.contains(hole.representative_point())), None)
-            if lap is None:  # shut off by the outer wall, or in one lap with the hole of another cycle
-                near = (min(lost, key=hole.distance) if lost else hole).representative_point()
-                raise FloorPlanError(
-                    f"{self._label}: a corridor is too narrow for a robot of radius {radius:g} m to drive around the "
-                    f"cycle of {hole.exterior.length:.0f} m alone; widen it near ({near.x:.1f}, {near.y:.1f}), "
-                    "or fill the hole."
-                )
-            laps.remove(lap)
         if sum(part.area for part in lost) > LOST_SHARE_MAX * self.free_area:
             worst = max(lost, key=lambda part: part.area)
             inside = worst.representative_point()
             raise FloorPlanError(
                 f"{self._label}: a corridor is too narrow for a robot of radius {radius:g} m: it can't reach "
-                f"{worst.area:.1f} m2 around ({inside.x:.1f}, {inside.y:.1f}); widen the way there or wall it off."
+                f"{worst.area:.1f} m2 around ({inside.x:.1f}, {inside.y:.1f}); widen the way there, wall it off, as "
+                f"an import for this radius does, or {SMALLER_ROBOT}."
             )
 
     def closed_tour(self) -> float:
-        """Return the length of the shortest closed tour that drives every corridor's centreline at least once, metres.
+        """Return the length of the shortest closed tour that drives every centreline at least once, metres.
 
-        NaN where the centrelines are not known or not all connected. An end that lies within half a corridor's width
-        of another centreline is joined to it, and the join is driven too.
+        It is NaN where the centrelines are unknown or not all connected. An end within half a corridor's width of
+        another centreline is joined to it, and the join is part of the tour.
         """
-        from cyclic_env.floor_plans import tour  # loads scipy's optimizer, half a second that nothing else needs
+        from cyclic_env.floor_plans import tour  # imports networkx, which nothing else needs
 
         lines = [LineString(line) for line in self.centrelines if len(line) > 1]
         return tour.closed_tour([*lines, *tour.joins(lines, self.free_space.boundary)], RESOLUTION)
@@ -234,8 +241,7 @@ def polygon_from_rings(
 ) -> Polygon:
     """Return the polygon of an outer ring and the rings of its holes, each a list of (x, y).
 
-    The order of a ring's points does not matter, nor whether the first is given again as the last. `key` is what
-    messages call the outer ring.
+    Rings may run either way, with or without the first point repeated at the end. Messages call the outer ring `key`.
 
     Raises
     ------
@@ -257,7 +263,7 @@ def polygon_from_rings(
 
 
 def _misplaced_hole(outer: Polygon, holes: Sequence[Sequence[Sequence[float]]]) -> str:
-    """Say which hole makes the building invalid, and how to mend it."""
+    """Describe which hole makes the building invalid, and how to mend it."""
     inner = [Polygon(hole) for hole in holes]
     for i, hole in enumerate(inner):
         if not outer.contains(hole) or outer.exterior.intersection(hole.exterior).length > 0:
@@ -277,10 +283,10 @@ def polygon_from_corridors(
     corridors: Sequence[tuple[float, Sequence[Sequence[float]]]],
     rooms: Sequence[Sequence[Sequence[float]]] = (),
 ) -> Polygon:
-    """Return the free space of corridors given by width and centreline, together with rooms given as rings.
+    """Return the free space of corridors, given by width and centreline, and of rooms, given as rings.
 
-    A centreline whose ends meet is a closed loop; any other ends half a width beyond its last point, so that
-    corridors that meet at a point join without a notch.
+    A centreline whose ends meet is a closed loop. Any other corridor extends half its width beyond the ends of its
+    centreline, so that corridors that share an end make a full corner.
 
     Raises
     ------

@@ -2,44 +2,49 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
 from cyclic_env.atomic_write import write_text_atomically
-from cyclic_env.errors import FloorPlanError, short_repr, unknown_name
+from cyclic_env.config import RobotConfig
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
-from cyclic_env.floor_plans.occupancy.grid import IMAGE_SUFFIXES, occupancy_grid_from_mapping
+from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES, occupancy_grid_from_mapping
 from cyclic_env.floor_plans.occupancy.tracing import trace_floor_plan
 from cyclic_env.floor_plans.yaml_io import (
     as_list,
     as_number,
     as_start,
     as_text,
+    dump_yaml,
     name_of,
     parse_yaml,
     read_yaml,
 )
+from cyclic_env.validation import short_repr, unknown_name
 
 KEYS = ("name", "title", "source", "licence", "start", "exterior", "holes", "corridors", "rooms", "centrelines")
 
 
-def read_floor_plan(path: str | Path) -> FloorPlan:
-    """Read a floor plan from a YAML file: one of ours, or a map of ROS' ``map_server``, which has a key ``image``.
+def read_floor_plan(path: str | Path, robot_radius: float = RobotConfig().radius) -> FloorPlan:
+    """Read a floor plan from a YAML file: a plan, or a map of ROS' ``map_server``, which has a key ``image``.
 
-    A map is traced with the defaults of `trace_floor_plan`.
+    Parameters
+    ----------
+    path : path
+    robot_radius : float
+        Radius of the robot that a map is traced for, metres; otherwise with the defaults of `trace_floor_plan`.
 
     Raises
     ------
     FloorPlanError
         Naming the file and the key, if the file can't be read or does not follow the format.
     """
-    path = _checked_path(path)
+    path = Path(path)
     if path.suffix.lower() in IMAGE_SUFFIXES:
         raise FloorPlanError(
             f"{path}: a picture does not say how large a pixel is; name a YAML file with the keys image, resolution "
@@ -47,23 +52,20 @@ def read_floor_plan(path: str | Path) -> FloorPlan:
         )
     data = read_yaml(path)
     try:
-        if isinstance(data, Mapping) and "image" in data:
-            plan = trace_floor_plan(occupancy_grid_from_mapping(data, path)).plan
+        traced = isinstance(data, Mapping) and "image" in data
+        if traced:
+            plan = trace_floor_plan(occupancy_grid_from_mapping(data, path), robot_radius=robot_radius).plan
         else:
+            if isinstance(data, Mapping) and "resolution" in data:
+                raise FloorPlanError("image: is missing; a map has the keys image, resolution and origin.")
             plan = floor_plan_from_mapping(data, default_name=name_of(path))
-        return replace(plan, file=str(path))
+        return replace(plan, file=str(path), traced=traced, robot_radius=robot_radius)
     except FloorPlanError as error:
         raise FloorPlanError(f"{path}: {error}") from error
 
 
-def _checked_path(path: object) -> Path:
-    if not isinstance(path, str | os.PathLike):
-        raise FloorPlanError(f"the file of a floor plan is a path; got {type(path).__name__}.")
-    return Path(os.fsdecode(path))
-
-
 def floor_plan_from_text(text: str) -> FloorPlan:
-    """Return the floor plan that a text in our YAML format describes.
+    """Return the floor plan that a text in the YAML format describes.
 
     Raises
     ------
@@ -74,25 +76,21 @@ def floor_plan_from_text(text: str) -> FloorPlan:
 
 
 def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
-    """Write a floor plan as YAML rings, to the micrometre.
+    """Write a floor plan as YAML rings, rounded to the micrometre.
 
     Raises
     ------
     FloorPlanError
-        If it is no floor plan, or the file can't be written.
+        If the file can't be written.
     """
-    path = _checked_path(path)
-    if not isinstance(plan, FloorPlan):
-        raise FloorPlanError(f"{path}: what is to be written must be a FloorPlan; got {type(plan).__name__}.")
-    text = floor_plan_to_text(plan, digits=6)
     try:
-        write_text_atomically(path, text)
+        write_text_atomically(path, floor_plan_to_text(plan, digits=6))
     except OSError as error:
         raise FloorPlanError(f"{path}: can't be written: {error.strerror or error}.") from error
 
 
 def floor_plan_to_text(plan: FloorPlan, *, digits: int | None = None) -> str:
-    """Return a floor plan as YAML rings, rounded to so many decimals; None keeps every bit."""
+    """Return a floor plan as YAML rings, rounded to `digits` decimals; with None, exactly."""
     rings = plan.rings if digits is None else [np.round(ring, digits) for ring in plan.rings]
     exterior, *holes = (ring.tolist() for ring in rings)
     texts = {key: str(getattr(plan, key)) for key in ("name", "title", "source", "licence")}
@@ -103,9 +101,9 @@ def floor_plan_to_text(plan: FloorPlan, *, digits: int | None = None) -> str:
         "holes": holes,
         "centrelines": [np.asarray(line, dtype=float).tolist() for line in plan.centrelines],
     }
-    # Unescaped, PyYAML reads back the rarer line separators of Unicode as blanks.
+    # PyYAML reads unescaped line separators of Unicode as blanks.
     readable = all(text.isprintable() for text in texts.values())
-    return yaml.safe_dump(data, sort_keys=False, default_flow_style=None, width=120, allow_unicode=readable)
+    return dump_yaml(data, allow_unicode=readable)
 
 
 def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPlan:
@@ -117,7 +115,7 @@ def floor_plan_from_mapping(data: Any, default_name: str = "unnamed") -> FloorPl
         Naming the key that is missing, unknown or malformed.
     """
     if not isinstance(data, Mapping):
-        got = "nothing" if data is None else type(data).__name__
+        got = "an empty file" if data is None else type(data).__name__
         raise FloorPlanError(f"a floor plan is a mapping with some of the keys {', '.join(KEYS)}; got {got}.")
     for key in data:
         if key not in KEYS:

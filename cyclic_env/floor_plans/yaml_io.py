@@ -1,22 +1,24 @@
-"""Reading YAML, and the values in it, with one clear line for each mistake."""
+"""Reading YAML and the values in it, with a one-line message for each mistake."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from cyclic_env.errors import FloorPlanError, short_repr
+from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, Pose
+from cyclic_env.validation import short_repr
 
 
 class _Loader(yaml.SafeLoader):
-    """The safe loader, but a key given twice is an error and not a silent choice.
+    """The safe loader, with an error for a key that is given twice.
 
-    Not its twin in C, which crashes the interpreter on a file that is nested too deeply.
+    It is not the loader in C, which crashes the interpreter on a file that is nested too deeply.
     """
 
     def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[Any, Any]:
@@ -25,12 +27,22 @@ class _Loader(yaml.SafeLoader):
         keys = [self.construct_object(key, deep=deep) for key, _ in node.value]
         for i, key in enumerate(keys):
             if key in keys[:i]:
-                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} stands twice", node.start_mark)
+                raise yaml.constructor.ConstructorError(None, None, f"key {key!r} is given twice", node.start_mark)
         return super().construct_mapping(node, deep=deep)
 
 
+class _Dumper(yaml.SafeDumper):
+    """The safe dumper, with quotes around text that `_Loader` would read as a number."""
+
+
+for _kind in (_Loader, _Dumper):  # YAML 1.1 takes 5e-2 for text, because it has no point
+    _kind.add_implicit_resolver(
+        "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+\Z"), list("-+0123456789")
+    )
+
+
 def read_yaml(path: Path) -> Any:
-    """Return what a YAML file holds.
+    """Return the content of a YAML file.
 
     Raises
     ------
@@ -50,7 +62,7 @@ def read_yaml(path: Path) -> Any:
 
 
 def parse_yaml(text: str) -> Any:
-    """Return what a text in YAML holds.
+    """Return the content of a text in YAML.
 
     Raises
     ------
@@ -62,13 +74,20 @@ def parse_yaml(text: str) -> Any:
     except RecursionError as error:
         raise FloorPlanError("is not valid YAML: it is nested too deeply.") from error
     except (yaml.YAMLError, ValueError, AttributeError) as error:
-        # PyYAML passes on what Python says of a bad number or date, such as 2024-13-01.
+        # PyYAML passes on Python's errors for bad numbers and dates, such as 2024-13-01.
         reason = " ".join(str(error).split()).replace('in "<unicode string>", line', "at line")
         raise FloorPlanError(f"is not valid YAML: {reason}.") from error
 
 
+def dump_yaml(data: Any, *, allow_unicode: bool = False) -> str:
+    """Write data as a text in YAML."""
+    return yaml.dump(
+        data, Dumper=_Dumper, sort_keys=False, default_flow_style=None, width=120, allow_unicode=allow_unicode
+    )
+
+
 def name_of(path: Path) -> str:
-    """Return the name of a file without its suffix, as text that can be written and drawn whatever its bytes are."""
+    """Return the name of a file without its suffix, as text that can be written and drawn whatever bytes it has."""
     return os.fsencode(path.stem).decode(errors="replace")
 
 
@@ -81,7 +100,7 @@ def as_list(value: Any, key: str) -> Sequence[Any]:
 
 def as_number(value: Any, key: str) -> float:
     """Return the value of a key that must be a finite number."""
-    # The comparison also fails for NaN, and, unlike math.isfinite, takes whole numbers of any length.
+    # The comparison is false for NaN and, unlike math.isfinite, takes integers of any length.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= COORDINATE_MAX:
         raise FloorPlanError(
             f"{key}: expected a number from {-COORDINATE_MAX:g} to {COORDINATE_MAX:g}, got {short_repr(value)}."
@@ -90,7 +109,7 @@ def as_number(value: Any, key: str) -> float:
 
 
 def as_text(data: Mapping[str, Any], key: str) -> str:
-    """Return the text of a key that may be left out."""
+    """Return the text of an optional key."""
     value = data.get(key, "")
     if not isinstance(value, str):
         raise FloorPlanError(f"{key}: expected text, got {short_repr(value)}.")
@@ -98,7 +117,7 @@ def as_text(data: Mapping[str, Any], key: str) -> str:
 
 
 def as_start(value: Any) -> Pose:
-    """Return the start pose that a mapping describes; the heading may be left out."""
+    """Return the start pose that a mapping describes; its heading is optional."""
     if not isinstance(value, Mapping) or not {"x", "y"} <= set(value) <= {"x", "y", "heading"}:
         raise FloorPlanError(f"start: expected a mapping with x, y and, in radians, heading; got {short_repr(value)}.")
     return (

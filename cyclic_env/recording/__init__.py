@@ -1,1 +1,1 @@
-"""Recordings of episodes: their format, the recorder and bit-exact replay."""
+"""Recordings of episodes: the file format, the recorder, and bit-exact replay."""

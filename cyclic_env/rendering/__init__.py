@@ -1,1 +1,1 @@
-"""Pictures of episodes: rendering, windows, figures and animations. Imported only when something is drawn."""
+"""Pictures of episodes: frames, windows, figures and animations. Imported only when something is drawn."""

@@ -1,12 +1,12 @@
-"""The colours of pictures and figures, red, green and blue from 0 to 255, so that both look alike."""
+"""The colors of frames and figures, red, green and blue from 0 to 255."""
 
 from __future__ import annotations
 
-Colour = tuple[int, int, int]
+Color = tuple[int, int, int]
 
 PAPER, INK, FAINT, RULE = (250, 250, 248), (38, 45, 56), (120, 128, 138), (214, 217, 221)
 SOLID, WALL, FLOOR, SEEN = (226, 229, 233), (62, 71, 84), (250, 250, 248), (205, 226, 240)
 PATH_OLD, PATH_NEW = (150, 176, 208), (24, 78, 152)
 AMBER, BEAM = (246, 170, 28), (255, 198, 64)
 RIGHT, WRONG = (0, 138, 98), (206, 32, 52)
-"""Of claims. For the colour-blind they differ in lightness too, and in shape: a disc with a tick, a cross."""
+"""Of claims. For the color-blind they differ in lightness too, and their marks in shape."""

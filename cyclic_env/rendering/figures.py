@@ -1,13 +1,12 @@
-"""Record to figure: a floor plan, and what was driven, remembered and claimed in it, fit for a paper.
+"""Figures for papers: a floor plan, and the path and claims of a run in it.
 
-Every function draws one thing into axes that `plan_figure` has made, in metres, and gives it a line in the legend. They
-know no agent, and need the extra ``plot``.
+`plan_figure` makes the axes, in metres. Every other function draws one thing into them and adds it to the legend. The
+module needs the extra ``plot``.
 """
 
 from __future__ import annotations
 
 import math
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path as FilePath
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.rendering.colors import AMBER, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SOLID, WALL, WRONG, Colour
+from cyclic_env.rendering.colors import AMBER, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SOLID, WALL, WRONG, Color
 
 try:
     from matplotlib.axes import Axes
@@ -25,58 +24,35 @@ try:
     from matplotlib.figure import Figure
     from matplotlib.patches import PathPatch
     from matplotlib.path import Path
-    from matplotlib.patheffects import withStroke
 except ImportError as error:
     raise ConfigError('figures need matplotlib, which is missing; pip install "cyclic-loop[plot]".') from error
 
 WIDTH, HEIGHT_MAX = 10.0, 9.0
-"""Inches; of a figure, and of its axes at most."""
+"""Width of a figure and greatest height of its axes, inches."""
 ABOVE, BELOW, LEFT, RIGHT_OF = 0.62, 0.95, 0.55, 0.12
-"""Inches around the axes: for the title, the legend, the metres, and nothing."""
+"""Inches around the axes: for the title, the legend, the labels in metres, and an empty margin."""
 MARGIN = 0.03
-"""Around the building, as a share of its longer side."""
+"""Margin around the building, as a share of its longer side."""
 LEGEND_COLUMNS_MAX = 6
 SHEET_COLUMNS_MAX = 8
-SCALE = 10.0
-"""Metres; of the scale below each building of a contact sheet."""
-GRAIN = 0.2
-"""Metres between the points of the drawn path."""
-POINTS = 72.0
-"""In an inch."""
-DISC = 9.0
-"""Points across a numbered disc; discs that would overlap are moved apart, and have lines to their places."""
-SPREAD_ROUNDS = 200
-LABELS_APART = 16.0
-"""Points between the names of two groups at least; else the shorter group goes without."""
-
-COMPASS = ("north", "east", "south", "west")
-COMPASS_COLOURS: tuple[Colour, ...] = ((60, 160, 205), (226, 120, 10), (125, 85, 55), (140, 80, 165))
-ASIDE = np.array([(1.0, 0.0), (0.0, -1.0), (-1.0, 0.0), (0.0, 1.0)])
-"""To the right of each direction, east and north: there its labels go, so that those of a way back go elsewhere."""
-LABEL_AFTER = 0.035
-"""Length from which a group has its name beside it, as a share of the building's longer side."""
-
-AREA_STYLES: dict[str, tuple[Colour, Colour, Colour]] = {
-    "visited": (INK, INK, FLOOR),
-    "struck off": (FLOOR, FAINT, INK),
-    "open": (AMBER, INK, INK),
-    "out of reach": (FLOOR, WRONG, WRONG),
-}
-"""Fill, edge and number of an open area in each state."""
+SCALE_BAR = 10.0
+"""Length of the scale bar below each building of a contact sheet, metres."""
+PATH_SPACING = 0.2
+"""Metres between the drawn points of a path."""
 
 
 def check_figure(path: FilePath) -> None:
-    """Check, before the work, that a figure's file has a suffix that says its format.
+    """Check, before the work, that the suffix of a figure's file is a known format.
 
     Raises
     ------
     ConfigError
-        If it has not.
+        If it is not.
     """
     known = FigureCanvasBase.get_supported_filetypes()
     if path.suffix.lower().removeprefix(".") not in known:
         raise ConfigError(
-            f"{path}: a figure's name ends with one of: {', '.join(f'.{name}' for name in sorted(known))}."
+            f"{path}: a figure's name must end with one of: {', '.join(f'.{name}' for name in sorted(known))}."
         )
 
 
@@ -87,7 +63,7 @@ def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, 
     ----------
     plan : FloorPlan
     title, scores : str
-        The two lines above the building.
+        Two lines above the building.
     """
     west, south, east, north = plan.bounds
     margin = MARGIN * max(east - west, north - south)
@@ -97,210 +73,133 @@ def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, 
     figure = Figure((WIDTH, total))
     left = LEFT + (WIDTH - LEFT - RIGHT_OF - scale * width) / 2
     axes = figure.add_axes((left / WIDTH, BELOW / total, scale * width / WIDTH, scale * height / total))
-    axes.set(xlim=(west - margin, east + margin), ylim=(south - margin, north + margin), facecolor=_rgb(SOLID))
-    axes.tick_params(labelsize=7, colors=_rgb(FAINT), length=2.5)
-    axes.set_ylabel("metres north", fontsize=7, color=_rgb(FAINT))
-    axes.set_xlabel("metres east", fontsize=7, color=_rgb(FAINT), labelpad=1)
+    axes.set(xlim=(west - margin, east + margin), ylim=(south - margin, north + margin), facecolor=rgb(SOLID))
+    axes.tick_params(labelsize=7, colors=rgb(FAINT), length=2.5)
+    axes.set_ylabel("metres north", fontsize=7, color=rgb(FAINT))
+    axes.set_xlabel("metres east", fontsize=7, color=rgb(FAINT), labelpad=1)
     for spine in axes.spines.values():
-        spine.set_edgecolor(_rgb(FAINT))
+        spine.set_edgecolor(rgb(FAINT))
         spine.set_linewidth(0.5)
     _draw_building(axes, plan, linewidth=0.7)
-    above = {"color": _rgb(INK), "va": "center", "parse_math": False}  # a dollar is one
+    above = {"color": rgb(INK), "va": "center", "parse_math": False}  # a dollar sign stays one
     figure.text(LEFT / WIDTH, 1 - 0.2 / total, title, fontsize=11, fontweight="bold", **above)
     figure.text(LEFT / WIDTH, 1 - 0.42 / total, scores, fontsize=8.5, **above)
     return figure, axes
 
 
-def contact_sheet(plans: Sequence[FloorPlan], captions: Sequence[str], places: Sequence[np.ndarray]) -> Figure:
-    """Return a figure of small pictures of several buildings, each as large as its cell allows, with a scale of 10 m.
+def contact_sheet(plans: Sequence[FloorPlan], captions: Sequence[str], marked: Sequence[np.ndarray]) -> Figure:
+    """Return a figure with small pictures of several buildings, each with a scale bar.
 
     Parameters
     ----------
     plans : sequence of FloorPlan
     captions : sequence of str
-        Lines above each building.
-    places : sequence of (n, 2) arrays
-        Points to be marked in each, metres.
+        Text above each building.
+    marked : sequence of (n, 2) arrays
+        Positions to mark in each, metres.
     """
     columns = min(math.ceil(math.sqrt(len(plans))), SHEET_COLUMNS_MAX)
     rows = math.ceil(len(plans) / columns)
     cell = WIDTH / columns
-    figure = Figure((WIDTH, rows * cell), layout="constrained", facecolor=_rgb(SOLID))
-    for i, (plan, caption, points) in enumerate(zip(plans, captions, places, strict=True)):
+    figure = Figure((WIDTH, rows * cell), layout="constrained", facecolor=rgb(SOLID))
+    for i, (plan, caption, points) in enumerate(zip(plans, captions, marked, strict=True)):
         axes = figure.add_subplot(rows, columns, i + 1)
         axes.set_axis_off()
         axes.set_aspect("equal")
         _draw_building(axes, plan, linewidth=0.4)
-        axes.scatter(*points.T, s=1.5, color=_rgb(AMBER), linewidths=0, zorder=2)
+        axes.scatter(*points.T, s=1.5, color=rgb(AMBER), linewidths=0, zorder=2)
         axes.autoscale_view()
         west, south, *_ = plan.bounds
-        axes.plot([west, west + SCALE], [south - 4, south - 4], color=_rgb(INK), linewidth=1.2)
-        axes.annotate(f" {SCALE:g} m", (west + SCALE, south - 4), fontsize=5, color=_rgb(INK), va="center")
-        axes.set_title(caption, fontsize=6, color=_rgb(INK), parse_math=False)
+        axes.plot([west, west + SCALE_BAR], [south - 4, south - 4], color=rgb(INK), linewidth=1.2)
+        axes.annotate(f" {SCALE_BAR:g} m", (west + SCALE_BAR, south - 4), fontsize=5, color=rgb(INK), va="center")
+        axes.set_title(caption, fontsize=6, color=rgb(INK), parse_math=False)
     return figure
 
 
 def draw_path(axes: Axes, trajectory: np.ndarray, *, by_time: bool = True) -> None:
-    """Draw a way, paler the longer ago if `by_time`, and the mark of its start.
+    """Draw a path, its start and its end.
 
     Parameters
     ----------
     axes : Axes
     trajectory : (t + 1, 3)
-        x, y and path length, metres, as of ``env.trajectory()``.
+        x, y and path length, metres, as returned by ``env.trajectory()``.
     by_time : bool
+        Whether to draw earlier parts paler.
     """
     points = _thinned(trajectory)[:, :2]
-    colours = LinearSegmentedColormap.from_list("time", [_rgb(PATH_OLD), _rgb(PATH_NEW)])
+    colors = LinearSegmentedColormap.from_list("time", [rgb(PATH_OLD), rgb(PATH_NEW)])
     pieces = np.stack([points[:-1], points[1:]], axis=1)
-    lines = LineCollection(list(pieces), cmap=colours, linewidths=1.3, capstyle="round", zorder=2)
+    lines = LineCollection(list(pieces), cmap=colors, linewidths=1.3, capstyle="round", zorder=2)
     lines.set_array(np.arange(len(pieces)) if by_time else np.ones(len(pieces)))
     axes.add_collection(lines)
-    axes.plot([], [], color=_rgb(PATH_NEW), linewidth=1.5, label="path (darker: later)" if by_time else "path")
-    start = {"marker": "D", "markersize": 6, "markeredgecolor": _rgb(FLOOR), "markeredgewidth": 0.8}
-    end = {"marker": "s", "markersize": 12, "fillstyle": "none", "markeredgewidth": 1.2}  # around what is marked there
-    for place, style, label in ((points[0], start, "start"), (points[-1], end, "end")):
-        axes.plot(*place, linestyle="", color=_rgb(INK), label=label, zorder=7, **style)
-
-
-def draw_groups(axes: Axes, groups: Sequence[tuple[str, int, np.ndarray]]) -> None:
-    """Draw rows of places as dots in the colour of their group's direction; long groups have their name beside them.
-
-    Parameters
-    ----------
-    axes : Axes
-    groups : sequence of (name, direction, positions)
-        Direction 0 to 3: north, east, south, west; positions `(n, 2)` in metres.
-    """
-    for direction, (word, colour) in enumerate(zip(COMPASS, COMPASS_COLOURS, strict=True)):
-        mine = [positions for _, of, positions in groups if of == direction and len(positions)]
-        if mine:
-            style = {"linestyle": "", "marker": "o", "markeredgewidth": 0, "color": _rgb(colour)}
-            axes.plot(*np.concatenate(mine).T, markersize=2.2, zorder=3, **style)
-            axes.plot([], [], markersize=4, label=f"{word}ward", **style)
-    least = LABEL_AFTER * max(np.ptp(axes.get_xlim()), np.ptp(axes.get_ylim()))
-    lengths = [np.hypot(*np.ptp(positions, axis=0)) if len(positions) else 0.0 for _, _, positions in groups]
-    taken: list[np.ndarray] = []
-    for i in sorted(range(len(groups)), key=lambda i: -lengths[i]):
-        name, direction, positions = groups[i]
-        if lengths[i] < least:
-            break
-        aside = 13 * ASIDE[direction]
-        place = _to_points(axes, positions[len(positions) // 2]) + aside
-        if all(np.hypot(*(place - other)) >= LABELS_APART for other in taken):
-            taken.append(place)
-            middle = positions[len(positions) // 2]
-            style = {"ha": "center", "va": "center", "fontsize": 6.5, "color": _rgb(COMPASS_COLOURS[direction])}
-            halo = [withStroke(linewidth=1.5, foreground=_rgb(SOLID))]
-            axes.annotate(name, middle, aside, textcoords="offset points", zorder=4, path_effects=halo, **style)
+    axes.plot([], [], color=rgb(PATH_NEW), linewidth=1.5, label="path (darker: later)" if by_time else "path")
+    start = {"marker": "D", "markersize": 6, "markeredgecolor": rgb(FLOOR), "markeredgewidth": 0.8}
+    end = {"marker": "s", "markersize": 12, "fillstyle": "none", "markeredgewidth": 1.2}  # around any other mark
+    for position, style, label in ((points[0], start, "start"), (points[-1], end, "end")):
+        axes.plot(*position, linestyle="", color=rgb(INK), label=label, zorder=7, **style)
 
 
 def draw_claims(axes: Axes, trajectory: np.ndarray, claims: np.ndarray) -> None:
-    """Draw judged claims where they were made, with lines to the places that they named.
+    """Draw judged claims where they were made, with lines to the positions that they named.
 
-    Right ones are green, those that closed a cycle larger and numbered; false ones are red crosses.
+    Correct claims are green; those that closed a cycle are larger and numbered. False claims are red crosses.
 
     Parameters
     ----------
     axes : Axes
     trajectory : (t + 1, 3)
-        As of ``env.trajectory()``.
+        As returned by ``env.trajectory()``.
     claims : (n,) CLAIM
-        As of ``env.claims()``.
+        As returned by ``env.claims()``.
     """
-    places, named = trajectory[claims["step"], :2], trajectory[np.maximum(claims["match"], 0), :2]
+    made, named = trajectory[claims["step"], :2], trajectory[np.maximum(claims["match"], 0), :2]
     correct, closing = claims["correct"], claims["new_cycle"]
-    for kind, colour, marker, size, label, zorder in (
-        (correct & ~closing, RIGHT, "o", 4.0, "right claim", 3.6),
+    for kind, color, marker, size, label, zorder in (
+        (correct & ~closing, RIGHT, "o", 4.0, "correct claim", 3.6),
         (~correct, WRONG, "X", 6.5, "false claim", 6.0),
         (closing, RIGHT, "o", 10.0, "closes a cycle", 6.2),
     ):
         if not kind.any():
             continue
-        there = kind & (claims["match"] >= 0)
-        lines = np.stack([places[there], named[there]], axis=1)
-        axes.add_collection(LineCollection(list(lines), colors=[_rgb(colour)], linewidths=1.0, zorder=zorder - 0.2))
-        ring = {"marker": "o", "markersize": 2.5, "markerfacecolor": _rgb(FLOOR), "markeredgewidth": 0.7}
-        axes.plot(*named[there].T, linestyle="", color=_rgb(colour), zorder=zorder - 0.1, **ring)
-        style = {"marker": marker, "markersize": size, "markeredgecolor": _rgb(FLOOR), "markeredgewidth": 0.6}
+        linked = kind & (claims["match"] >= 0)
+        lines = np.stack([made[linked], named[linked]], axis=1)
+        axes.add_collection(LineCollection(list(lines), colors=[rgb(color)], linewidths=1.0, zorder=zorder - 0.2))
+        ring = {"marker": "o", "markersize": 2.5, "markerfacecolor": rgb(FLOOR), "markeredgewidth": 0.7}
+        axes.plot(*named[linked].T, linestyle="", color=rgb(color), zorder=zorder - 0.1, **ring)
+        style = {"marker": marker, "markersize": size, "markeredgecolor": rgb(FLOOR), "markeredgewidth": 0.6}
         label = f"{label} ({np.count_nonzero(kind)})"
-        axes.plot(*places[kind].T, linestyle="", color=_rgb(colour), label=label, zorder=zorder, **style)
+        axes.plot(*made[kind].T, linestyle="", color=rgb(color), label=label, zorder=zorder, **style)
     if (claims["match"] >= 0).any():
-        line = {"marker": "o", "markersize": 3.0, "markerfacecolor": _rgb(FLOOR), "markeredgewidth": 0.7}
-        axes.plot([], [], color=_rgb(FAINT), linewidth=1.0, label="claim to match", **line)
-    for number, place in enumerate(places[closing], 1):
-        _write(axes, str(number), place, FLOOR, 6.5, 6.5)
-
-
-def draw_open_areas(axes: Axes, positions: np.ndarray, numbers: Sequence[int], states: Sequence[str]) -> None:
-    """Draw open areas as numbered discs, by state.
-
-    Parameters
-    ----------
-    axes : Axes
-    positions : (n, 2)
-        Metres.
-    numbers : sequence of int
-    states : sequence of str
-        Each one of `AREA_STYLES`.
-    """
-    shown = axes.transData.inverted().transform(spread(_to_points(axes, positions), DISC) / POINTS * axes.figure.dpi)
-    lines = np.stack([positions, shown], axis=1)
-    axes.add_collection(LineCollection(list(lines), colors=[_rgb(FAINT)], linewidths=0.6, zorder=4))
-    for state, count in sorted(Counter(states).items()):
-        fill, edge, ink = AREA_STYLES[state]
-        mine = [i for i in range(len(numbers)) if states[i] == state]
-        style = {"marker": "o", "markersize": DISC, "markeredgecolor": _rgb(edge), "markeredgewidth": 0.8}
-        label = f"open area{'' if state == 'open' else ', ' + state} ({count})"
-        axes.plot(*shown[mine].T, linestyle="", color=_rgb(fill), label=label, zorder=4.2, **style)
-        for i in mine:
-            _write(axes, str(numbers[i]), shown[i], ink, 5.5, 4.4)
+        line = {"marker": "o", "markersize": 3.0, "markerfacecolor": rgb(FLOOR), "markeredgewidth": 0.7}
+        axes.plot([], [], color=rgb(FAINT), linewidth=1.0, label="claim to match", **line)
+    for number, position in enumerate(made[closing], 1):
+        write_number(axes, str(number), position, FLOOR, 6.5, 6.5)
 
 
 def add_legend(axes: Axes) -> None:
-    """Put a legend of all that has been drawn below the building."""
+    """Add a legend of everything drawn so far, below the building."""
     figure = axes.figure
     entries = axes.get_legend_handles_labels()
     rows = math.ceil(len(entries[1]) / LEGEND_COLUMNS_MAX)
     columns = math.ceil(len(entries[1]) / rows)
-    figure.legend(*entries, loc="lower center", ncols=columns, fontsize=7.5, frameon=False, labelcolor=_rgb(INK))
+    figure.legend(*entries, loc="lower center", ncols=columns, fontsize=7.5, frameon=False, labelcolor=rgb(INK))
 
 
 def _thinned(trajectory: np.ndarray) -> np.ndarray:
-    """Return the points of a way that are `GRAIN` apart, the first and the last among them."""
-    passed = np.floor(trajectory[:, 2] / GRAIN)
+    """Return the points of a trajectory at every `PATH_SPACING`, and the last one."""
+    passed = np.floor(trajectory[:, 2] / PATH_SPACING)
     return trajectory[np.append(np.flatnonzero(np.diff(passed, prepend=-1.0)), len(trajectory) - 1)]
 
 
-def spread(places: np.ndarray, apart: float) -> np.ndarray:
-    """Return places `(n, 2)` moved as far as needs be that any two are `apart`, or nearly so in a dense crowd.
-
-    Of two at the same place the later one is moved, to the east.
-    """
-    places = places + 1e-3 * np.arange(len(places))[:, None] * (1.0, 0.0)
-    for _ in range(SPREAD_ROUNDS):
-        off = places[:, None] - places[None]
-        away = np.hypot(off[..., 0], off[..., 1])
-        np.fill_diagonal(away, np.inf)
-        short = np.maximum(apart - away, 0.0)
-        if not short.any():
-            break
-        places = places + 0.5 * (off / away[..., None] * short[..., None]).sum(axis=1)
-    return places
-
-
-def _to_points(axes: Axes, positions: np.ndarray) -> np.ndarray:
-    """Return positions `(..., 2)` in metres as points on the page."""
-    return axes.transData.transform(positions) / axes.figure.dpi * POINTS
-
-
-def _write(axes: Axes, text: str, position: np.ndarray, colour: Colour, size: float, zorder: float) -> None:
+def write_number(axes: Axes, text: str, position: np.ndarray, colour: Color, size: float, zorder: float) -> None:
+    """Write a short text centered on a position, metres."""
     axes.text(
         position[0],
         position[1],
         text,
         fontsize=size,
-        color=_rgb(colour),
+        color=rgb(colour),
         ha="center",
         va="center_baseline",
         zorder=zorder,
@@ -311,9 +210,10 @@ def _draw_building(axes: Axes, plan: FloorPlan, linewidth: float) -> None:
     """Draw a building's floor and walls."""
     rings = [np.vstack([ring, ring[:1]]) for ring in plan.rings]
     outline = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
-    axes.add_patch(PathPatch(outline, facecolor=_rgb(FLOOR), edgecolor=_rgb(WALL), linewidth=linewidth, zorder=1))
+    axes.add_patch(PathPatch(outline, facecolor=rgb(FLOOR), edgecolor=rgb(WALL), linewidth=linewidth, zorder=1))
 
 
-def _rgb(colour: Colour) -> tuple[float, float, float]:
+def rgb(colour: Color) -> tuple[float, float, float]:
+    """Return a color as Matplotlib has it."""
     red, green, blue = colour
     return red / 255, green / 255, blue / 255

@@ -1,14 +1,12 @@
-"""An animation of a run, for a page: small, and for all that with every mark that the pictures have."""
+"""Animations of a run as small GIF files that keep every mark of the pictures."""
 
 from __future__ import annotations
 
 import math
 from itertools import combinations_with_replacement
 from pathlib import Path
-from typing import Protocol
 
 from cyclic_env.atomic_write import atomic_write
-from cyclic_env.engine.engine import Engine
 from cyclic_env.errors import ConfigError
 from cyclic_env.rendering.colors import (
     AMBER,
@@ -24,7 +22,7 @@ from cyclic_env.rendering.colors import (
     WALL,
     WRONG,
 )
-from cyclic_env.rendering.renderer import draw_picture, pygame
+from cyclic_env.rendering.renderer import DrawableEnv, draw_picture, pygame
 
 try:
     from PIL import Image
@@ -32,28 +30,17 @@ except ImportError as error:
     raise ConfigError('animations need pillow, which is missing; pip install "cyclic-loop[plot]".') from error
 
 FRAMES_MAX = 250
-"""Frames of an animation of the longest episode; one that ends earlier has fewer."""
+"""Number of frames of an episode that uses up its step budget; one that ends earlier has fewer."""
 FRAME_WIDTH = 720
-"""Pixels."""
-FRAME_COLOURS = (FLOOR, INK, FAINT, SOLID, WALL, SEEN, PATH_OLD, PATH_NEW, AMBER, BEAM, RIGHT, WRONG)
-"""What a frame is made of, and the means of any two of these."""
+"""Width of a frame, pixels."""
+FRAME_COLORS = (FLOOR, INK, FAINT, SOLID, WALL, SEEN, PATH_OLD, PATH_NEW, AMBER, BEAM, RIGHT, WRONG)
+"""A frame's palette consists of these and the mean of every two of them."""
 FRAME_S, LAST_FRAME_S = 0.08, 3.0
-"""Seconds for which a frame is shown, and the last."""
-
-
-class DrawableEnv(Protocol):
-    """What is drawn: a `CyclicLoopEnv`."""
-
-    engine: Engine
-
-    @property
-    def step_budget(self) -> int:
-        """Steps after which the episode is truncated."""
-        ...
+"""Seconds for which each frame, and the last one, is shown."""
 
 
 class GifWriter:
-    """An animation of a run: its pictures, few enough, small enough and of few enough colours.
+    """Collects the frames of a run's animation and writes it.
 
     Parameters
     ----------
@@ -67,33 +54,32 @@ class GifWriter:
         self._palette.putpalette(
             [
                 sum(pair) // 2
-                for a, b in combinations_with_replacement(FRAME_COLOURS, 2)
+                for a, b in combinations_with_replacement(FRAME_COLORS, 2)
                 for pair in zip(a, b, strict=True)
             ]
         )
         self._taken = -1
 
     def take(self, step: int, *, last: bool = False) -> None:
-        """Take the picture of a step, if it is one of those to be shown or the last."""
-        if step == self._taken or (step % math.ceil(self._env.step_budget / FRAMES_MAX) and not last):
+        """Add the picture of a step, if it is one of those to be shown or the last."""
+        budget = self._env.engine.step_budget(0)
+        if step == self._taken or (step % math.ceil(budget / FRAMES_MAX) and not last):
             return
         self._taken = step
-        surface = draw_picture(self._env.engine, 0)
+        surface = draw_picture(self._env)
         picture = Image.frombytes("RGB", surface.get_size(), pygame.image.tobytes(surface, "RGB"))
         size = (FRAME_WIDTH, round(FRAME_WIDTH * picture.height / picture.width))
-        picture = picture.resize(size, Image.Resampling.BOX)  # keeps areas of one colour so, which makes the file small
+        picture = picture.resize(size, Image.Resampling.BOX)  # a box filter keeps flat areas flat
         self._frames.append(picture.quantize(palette=self._palette, dither=Image.Dither.NONE))
 
     def write(self, path: Path) -> None:
-        """Write the animation, which runs again and again.
+        """Write the animation, which repeats endlessly.
 
         Raises
         ------
         ConfigError
-            If there is no picture, or the file can't be written.
+            If the file can't be written.
         """
-        if not self._frames:
-            raise ConfigError("there is no picture to make an animation of.")
         first, *others = self._frames
         durations = [round(1000 * FRAME_S)] * len(others) + [round(1000 * LAST_FRAME_S)]
         try:

@@ -1,16 +1,14 @@
-"""Drawing: the colours, the marks, the lines and the letters of a picture, and where the world is in it.
+"""Drawing primitives: the view, marks, lines and text.
 
-It imports pygame for all who draw, and says what to do where that is missing. Nothing here needs a display.
-
-World coordinates become pixels in one place, `View.pixels`; there the picture is turned, row 0 being the north end.
+Other modules take pygame from here, which gives one clear error where it is missing. Nothing here needs a display.
+World coordinates become pixels in one place, `View.pixels`, where row 0 becomes the north end.
 """
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -18,34 +16,18 @@ from typing import Any
 import numpy as np
 
 from cyclic_env.errors import ConfigError
-from cyclic_env.rendering.colors import AMBER, FLOOR, INK, RIGHT, WRONG, Colour
+from cyclic_env.rendering.colors import AMBER, FLOOR, INK, RIGHT, WRONG, Color
 
-
-@contextmanager
-def _without_greeting() -> Iterator[None]:
-    """Keep pygame from printing a line at its import; what it prints on may be somebody's data."""
-    name = "PYGAME_HIDE_SUPPORT_PROMPT"
-    before = os.environ.get(name)
-    os.environ[name] = "1"
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ[name]
-        else:
-            os.environ[name] = before
-
-
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # its greeting would mix with a command's output
 try:
-    with _without_greeting():
-        import pygame
+    import pygame
 except ImportError as error:
     raise ConfigError(
         'rendering needs pygame-ce, which is missing; pip install "cyclic-loop[render]", or leave out render_mode.'
     ) from error
 
 MARK = 7
-"""Radius of a mark, pixels; that of a claim that closed a new cycle is 2 larger."""
+"""Radius of a mark, pixels. The mark of a claim that closed a new cycle is 2 pixels larger."""
 SPRITE_ZOOM = 4
 """How many times larger a mark is drawn before it is scaled down, which smooths its edges."""
 TITLE_SIZE, TEXT_SIZE, LABEL_SIZE = 21, 18, 15
@@ -53,7 +35,7 @@ TITLE_SIZE, TEXT_SIZE, LABEL_SIZE = 21, 18, 15
 
 @dataclass(frozen=True, slots=True)
 class View:
-    """Where the world is in a picture: `scale` pixels a metre, the world's (west, north) at pixel (left, top)."""
+    """Where the world is in a picture: `scale` pixels per metre, with world (west, north) at pixel (left, top)."""
 
     west: float
     north: float
@@ -62,7 +44,7 @@ class View:
     top: float = 0.0
 
     def pixels(self, points: Any) -> np.ndarray:
-        """Return the pixels (column, row), not rounded, of world points `(..., 2)` in metres."""
+        """Return the pixels (column, row) of world points `(..., 2)` in metres, not rounded."""
         points = np.asarray(points, np.float64)
         return np.stack(
             [
@@ -89,7 +71,7 @@ class View:
 
 
 def draw_scale_bar(picture: pygame.Surface, x: float, y: float, scale: float, metres: float) -> None:
-    """Draw a scale of so many metres from pixel (x, y) to the right."""
+    """Draw a scale bar `metres` long from pixel (x, y) to the right."""
     left, bottom, length = round(x), round(y), round(metres * scale)
     for part in ((0, -1, length, 2), (0, -5, 2, 6), (length - 2, -5, 2, 6)):
         picture.fill(INK, (left + part[0], bottom + part[1], *part[2:]))
@@ -97,24 +79,24 @@ def draw_scale_bar(picture: pygame.Surface, x: float, y: float, scale: float, me
 
 
 def _smooth(side: int, paint: Callable[[pygame.Surface, float], None]) -> pygame.Surface:
-    """Return a transparent mark of that side, painted in coordinates from -1 to 1 at so many pixels a unit."""
+    """Return a mark of `side` pixels; `paint` gets the enlarged surface and its pixels per unit, for -1 to 1 across."""
     large = transparent_surface((side * SPRITE_ZOOM, side * SPRITE_ZOOM))
     large.fill((*FLOOR, 0))
     paint(large, side * SPRITE_ZOOM / 2)
     return pygame.transform.smoothscale(large, (side, side))
 
 
-def _shape(large: pygame.Surface, unit: float, colour: Colour, points: Sequence[Sequence[float]]) -> None:
-    pygame.draw.polygon(large, colour, [(unit * (1 + x), unit * (1 + y)) for x, y in points])
+def _shape(large: pygame.Surface, unit: float, color: Color, points: Sequence[Sequence[float]]) -> None:
+    pygame.draw.polygon(large, color, [(unit * (1 + x), unit * (1 + y)) for x, y in points])
 
 
-def _disc(large: pygame.Surface, unit: float, colour: Colour, radius: float) -> None:
-    pygame.draw.circle(large, colour, (unit, unit), unit * radius)
+def _disc(large: pygame.Surface, unit: float, color: Color, radius: float) -> None:
+    pygame.draw.circle(large, color, (unit, unit), unit * radius)
 
 
 @lru_cache(maxsize=64)
 def tick_mark(radius: int) -> pygame.Surface:
-    """Return the mark of a right claim: a green disc with a tick."""
+    """Return the mark of a correct claim: a green disc with a tick."""
 
     def paint(large: pygame.Surface, unit: float) -> None:
         _disc(large, unit, FLOOR, 1.0)
@@ -130,20 +112,20 @@ def cross_mark(radius: int) -> pygame.Surface:
     """Return the mark of a false claim: a red cross."""
 
     def paint(large: pygame.Surface, unit: float) -> None:
-        for colour, half, reach in ((FLOOR, 0.36, 0.66), (WRONG, 0.2, 0.58)):
+        for color, half, reach in ((FLOOR, 0.36, 0.66), (WRONG, 0.2, 0.58)):
             for turn in (1, -1):
                 corners = [(-reach - half, turn * (half - reach)), (half - reach, turn * (-reach - half))]
-                _shape(large, unit, colour, [*corners, *((-x, -y) for x, y in corners)])
+                _shape(large, unit, color, [*corners, *((-x, -y) for x, y in corners)])
 
     return _smooth(2 * radius + 1, paint)
 
 
 @lru_cache(maxsize=64)
-def ring_mark(colour: Colour, radius: int) -> pygame.Surface:
-    """Return the mark of a place that a claim named."""
+def ring_mark(color: Color, radius: int) -> pygame.Surface:
+    """Return the mark of a position that a claim named: a ring."""
 
     def paint(large: pygame.Surface, unit: float) -> None:
-        _disc(large, unit, colour, 1.0)
+        _disc(large, unit, color, 1.0)
         _disc(large, unit, FLOOR, 0.55)
 
     return _smooth(2 * radius + 1, paint)
@@ -154,16 +136,16 @@ def start_mark(radius: int) -> pygame.Surface:
     """Return the mark of the start: a diamond."""
 
     def paint(large: pygame.Surface, unit: float) -> None:
-        for colour, reach in ((FLOOR, 1.0), (INK, 0.78), (FLOOR, 0.3)):
-            _shape(large, unit, colour, [(-reach, 0), (0, -reach), (reach, 0), (0, reach)])
+        for color, reach in ((FLOOR, 1.0), (INK, 0.78), (FLOOR, 0.3)):
+            _shape(large, unit, color, [(-reach, 0), (0, -reach), (reach, 0), (0, reach)])
 
     return _smooth(2 * radius + 1, paint)
 
 
-def swatch(colour: Colour, height: int = 12) -> pygame.Surface:
-    """Return a patch of colour for the legend."""
+def swatch(color: Color, height: int = 12) -> pygame.Surface:
+    """Return a patch of color for the legend."""
     surface = transparent_surface((16, height))
-    surface.fill(colour)
+    surface.fill(color)
     return surface
 
 
@@ -182,58 +164,58 @@ def robot_mark(radius: float, heading: float) -> pygame.Surface:
 
 
 def opaque_surface(size: tuple[int, int]) -> pygame.Surface:
-    """Return a black surface; its depth is given, so that it is the same with any display and with none."""
+    """Return a black surface. Its depth is fixed, so that it doesn't depend on the display."""
     return pygame.Surface(size, 0, 32)
 
 
 def transparent_surface(size: tuple[int, int]) -> pygame.Surface:
-    """Return a surface with opacity, all of it transparent."""
+    """Return a fully transparent surface."""
     return pygame.Surface(size, pygame.SRCALPHA, 32)
 
 
-def blit_middle(picture: pygame.Surface, sprite: pygame.Surface, x: float, y: float) -> None:
-    """Put a mark with its middle at pixel (x, y)."""
+def blit_centered(picture: pygame.Surface, sprite: pygame.Surface, x: float, y: float) -> None:
+    """Draw a mark centered at pixel (x, y)."""
     width, height = sprite.get_size()
     picture.blit(sprite, (round(x - width / 2), round(y - height / 2)))
 
 
-def draw_line(picture: pygame.Surface, colour: Colour, points: np.ndarray, width: int, *, smooth: bool) -> None:
-    """Draw a line of `width` pixels; `smooth` is slower, and of no use where the picture is scaled down."""
+def draw_line(picture: pygame.Surface, color: Color, points: np.ndarray, width: int, *, smooth: bool) -> None:
+    """Draw a line `width` pixels wide. `smooth` is slower, and useless where the picture is scaled down later."""
     if not smooth:
-        pygame.draw.lines(picture, colour, False, points, width)
+        pygame.draw.lines(picture, color, False, points, width)
         return
     along = np.diff(points, axis=0, append=2 * points[-1:] - points[-2:-1])
     across = along[:, ::-1] * (-1, 1) / np.maximum(np.hypot(along[:, :1], along[:, 1:]), 1e-9)
     for i in range(width):
-        pygame.draw.aalines(picture, colour, False, points + (i - (width - 1) / 2) * across)
+        pygame.draw.aalines(picture, color, False, points + (i - (width - 1) / 2) * across)
 
 
-def mix(first: Colour, second: Colour, share: float) -> Colour:
-    """Return the colour that lies that share of the way from the first to the second."""
+def mix(first: Color, second: Color, share: float) -> Color:
+    """Return the color at `share` between the first (0) and the second (1)."""
     red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, second, strict=True))
     return red, green, blue
 
 
 @lru_cache(maxsize=1024)
-def words(text: str, size: int, colour: Colour) -> pygame.Surface:
-    """Return a line in pygame's own font. The font is not kept: it would not outlive a ``pygame.quit()`` of others."""
+def render_text(text: str, size: int, color: Color) -> pygame.Surface:
+    """Return a line of text in pygame's own font. The font is not kept, because ``pygame.quit()`` would break it."""
     pygame.font.init()
-    return pygame.font.Font(None, size).render(text, True, colour)
+    return pygame.font.Font(None, size).render(text, True, color)
 
 
-def write(picture: pygame.Surface, text: str, size: int, colour: Colour, x: int, middle: int) -> int:
-    """Write a line from pixel column x; return the column where it ends."""
+def write(picture: pygame.Surface, text: str, size: int, color: Color, x: int, middle: int) -> int:
+    """Write a line from pixel column x, centered on row `middle`; return the column where it ends."""
     if not text:
         return x
-    line = words(text, size, colour)
+    line = render_text(text, size, color)
     picture.blit(line, (x, middle - line.get_height() // 2))
     return x + line.get_width()
 
 
-def shortened(text: str, size: int, width: int) -> str:
-    """Return a text, cut off with dots where it would be wider."""
+def shorten(text: str, size: int, width: int) -> str:
+    """Return the text, cut off with dots if it is wider than `width` pixels."""
     shown = text
-    while shown and words(shown, size, INK).get_width() > width:
+    while shown and render_text(shown, size, INK).get_width() > width:
         text = text[:-1].rstrip()
         shown = f"{text}..." if text else ""
     return shown

@@ -1,6 +1,6 @@
-"""The scene: what never changes about a building in a picture, made once and shared by all renderers of a process.
+"""The scene: everything about a building's picture that never changes, made once and shared by all renderers.
 
-It says where the building is, where the close-up of the robot goes, and holds the walls, the title and the legend.
+It holds the positions of the building and of the robot's close-up, the walls, the title and the legend.
 """
 
 from __future__ import annotations
@@ -19,57 +19,57 @@ from cyclic_env.rendering.primitives import (
     MARK,
     TITLE_SIZE,
     View,
-    blit_middle,
+    blit_centered,
     cross_mark,
     draw_scale_bar,
     pygame,
-    shortened,
+    render_text,
+    shorten,
     start_mark,
     swatch,
     tick_mark,
     transparent_surface,
-    words,
     write,
 )
 
 SIZE_MAX = (1200, 900)
-"""Largest picture, pixels."""
+"""Greatest width and height of a picture, pixels."""
 WIDTH_MIN = 800
-"""The line of scores needs that much."""
+"""The line of scores needs this width."""
 HEADER, FOOTER, MARGIN = 66, 34, 16
 TITLE_LINE, SCORE_LINE = 20, 47
-"""Pixel rows of the middles of the two lines above the building."""
+"""Pixel rows of the centers of the two lines above the building."""
 SCALE_MAX = 40.0
-"""Pixels a metre, so that a single room does not fill a screen."""
+"""Pixels per metre; the limit keeps a single room from filling a screen."""
 STATIC_ZOOM = 3
 """How many times larger the building is drawn before it is scaled down, which smooths its edges."""
 
 INSET_SCALE_MAX = 12.0
-"""Pixels a metre; where the building is drawn smaller, a close-up of the robot is added."""
+"""Pixels per metre. Where the building is drawn smaller, a close-up of the robot is added."""
 INSET_SIZE = 300
 """Side of the close-up, pixels."""
 INSET_CLEARANCE = 10
-"""Pixels between the close-up and the corridors, where it lies in the middle of the building."""
+"""Pixels between the close-up and the corridors, where it lies inside the building."""
 INSET_GRID = 8
-"""Pixels between the places that are tried for it."""
+"""Pixels between the candidate positions of the close-up."""
 INSET_WALL = 0.1
-"""Thickness of the walls in it, metres."""
+"""Thickness of the walls in the close-up, metres."""
 
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """What never changes about a building in a picture of a given size.
+    """Everything that never changes about a building's picture of a given size.
 
     Attributes
     ----------
     size : (width, height)
     view : View
     inset : Rect or None
-        Where the close-up of the robot is; None where the building is drawn large enough.
+        Where the close-up of the robot is; None where the building is drawn large enough without.
     overlay : Surface
-        All that lies over the tint of what has been seen: walls and what is behind them; transparent in free space.
+        What is drawn over the tint of the seen cells: walls and everything behind them. Free space is transparent.
     free, walled : shapely geometry
-        The free space, and it together with walls as thick as the close-up shows them.
+        The free space alone, and with the walls as thick as the close-up shows them.
     """
 
     size: tuple[int, int]
@@ -84,7 +84,7 @@ class Scene:
 def canvas_size(plans: PlanPool) -> tuple[int, int]:
     """Return the width and height, both even, of a picture that suits all plans of a pool.
 
-    That is the largest where there are plans yet to be drawn.
+    It is `SIZE_MAX` while some plans of the pool haven't been loaded.
     """
     if len(plans.loaded) < len(plans):
         return SIZE_MAX
@@ -105,7 +105,7 @@ def canvas_size(plans: PlanPool) -> tuple[int, int]:
 
 @lru_cache(maxsize=16)
 def scene_of(plan: FloorPlan, size: tuple[int, int]) -> Scene:
-    """Return the scene of a plan in pictures of that size."""
+    """Return the scene of a plan in pictures of the given size."""
     room = pygame.Rect(MARGIN, HEADER + MARGIN, size[0] - 2 * MARGIN, size[1] - HEADER - FOOTER - 2 * MARGIN)
     view, inset = _arrange(plan, room, snug=False)
     thickness = max(1.6 / view.scale, 0.08)
@@ -117,8 +117,8 @@ def scene_of(plan: FloorPlan, size: tuple[int, int]) -> Scene:
     )
     overlay = pygame.transform.smoothscale(large, size)
     opacity = pygame.surfarray.pixels_alpha(overlay)
-    opacity[opacity > 250] = 255  # smoothing rounds down, and what is behind would shimmer through
-    del opacity  # it locks the surface
+    opacity[opacity > 250] = 255  # smoothing rounds down, which would let the tint show through
+    del opacity  # the array locks the surface
     overlay.fill(PAPER, (0, 0, size[0], HEADER))
     overlay.fill(PAPER, (0, size[1] - FOOTER, size[0], FOOTER))
     overlay.fill(RULE, (0, HEADER - 1, size[0], 1))
@@ -130,11 +130,11 @@ def scene_of(plan: FloorPlan, size: tuple[int, int]) -> Scene:
 
 
 def _arrange(plan: FloorPlan, room: pygame.Rect, *, snug: bool) -> tuple[View, pygame.Rect | None]:
-    """Return the view of a plan in the middle of a room, or in its corner (`snug`), and the place of the close-up."""
+    """Return the view of a plan centered in a room, or in its corner (`snug`), and where the close-up goes."""
     view = _fit(plan, room, snug=snug)
     if view.scale >= INSET_SCALE_MAX:
         return view, None
-    inset = _free_place(plan, view, room)
+    inset = _free_inset(plan, view, room)
     if inset is not None:
         return view, inset
     left = pygame.Rect(room.left, room.top, room.width - INSET_SIZE - MARGIN, room.height)
@@ -151,8 +151,8 @@ def _fit(plan: FloorPlan, room: pygame.Rect, *, snug: bool) -> View:
     return View(west, north, scale, room.left + share * spare_x, room.top + share * spare_y)
 
 
-def _free_place(plan: FloorPlan, view: View, room: pygame.Rect) -> pygame.Rect | None:
-    """Return the place for the close-up nearest to a corner of the building that covers no free space, or None."""
+def _free_inset(plan: FloorPlan, view: View, room: pygame.Rect) -> pygame.Rect | None:
+    """Return where the close-up covers no free space, as near as possible to a corner of the building, or None."""
     west, south, east, north = plan.bounds
     left, top = view.pixels((west, north))
     right, bottom = view.pixels((east, south))
@@ -169,37 +169,37 @@ def _free_place(plan: FloorPlan, view: View, room: pygame.Rect) -> pygame.Rect |
     free = ~shapely.intersects(plan.prepared_space(), boxes)
     if not free.any():
         return None
-    off_x, off_y = np.minimum(columns - left, right - columns), np.minimum(rows - top, bottom - rows)
-    best = np.argmin(np.where(free, off_x + off_y, np.inf))
+    to_corner = np.minimum(columns - left, right - columns) + np.minimum(rows - top, bottom - rows)
+    best = np.argmin(np.where(free, to_corner, np.inf))
     return pygame.Rect(round(columns.flat[best]), round(rows.flat[best]), INSET_SIZE, INSET_SIZE)
 
 
 def draw_building(
     size: tuple[int, int], view: View, free: shapely.Geometry, walled: shapely.Geometry
 ) -> pygame.Surface:
-    """Return walls and what is behind them, `walled` being the free space and its walls; free space is transparent."""
+    """Return the walls and everything behind them, with transparent free space; `walled` is free space plus walls."""
     surface = transparent_surface(size)
     surface.fill(SOLID)
-    # Transparent pixels have the walls' colour, so that a smoothed edge has no other.
+    # Transparent pixels have the walls' color, so that smoothed edges mix in no other.
     layers = [(walled, "exterior", WALL), (free, "exterior", (*WALL, 0)), (free, "interiors", WALL)]
-    for geometry, rings, colour in [*layers, (walled, "interiors", SOLID)]:
+    for geometry, rings, color in [*layers, (walled, "interiors", SOLID)]:
         for polygon in shapely.get_parts(geometry):
             if isinstance(polygon, shapely.Polygon) and not polygon.is_empty:
                 for ring in [polygon.exterior] if rings == "exterior" else polygon.interiors:
-                    pygame.draw.polygon(surface, colour, view.pixels(ring.coords))
+                    pygame.draw.polygon(surface, color, view.pixels(ring.coords))
     return surface
 
 
 def _draw_title(overlay: pygame.Surface, plan: FloorPlan) -> None:
-    """Draw the plan's title; what follows a colon in it is a remark."""
+    """Draw the plan's title. Text after a colon in it is a remark."""
     name, _, remark = (plan.title or plan.name).partition(": ")
     end = overlay.get_width() - MARGIN
-    x = write(overlay, shortened(name, TITLE_SIZE, end - MARGIN), TITLE_SIZE, INK, MARGIN, TITLE_LINE) + 10
-    write(overlay, shortened(remark, LABEL_SIZE, end - x), LABEL_SIZE, FAINT, x, TITLE_LINE + 2)
+    x = write(overlay, shorten(name, TITLE_SIZE, end - MARGIN), TITLE_SIZE, INK, MARGIN, TITLE_LINE) + 10
+    write(overlay, shorten(remark, LABEL_SIZE, end - x), LABEL_SIZE, FAINT, x, TITLE_LINE + 2)
 
 
 def _draw_legend(overlay: pygame.Surface, view: View) -> None:
-    """Draw the scale and what the marks mean."""
+    """Draw the scale bar and the legend of the marks."""
     y = overlay.get_height() - FOOTER // 2
     longest = 120 / view.scale
     magnitude = 10.0 ** math.floor(math.log10(longest))
@@ -216,8 +216,8 @@ def _draw_legend(overlay: pygame.Surface, view: View) -> None:
         ("start", start_mark(MARK)),
     ]
     for label, sprite in marks:
-        x -= words(label, LABEL_SIZE, FAINT).get_width()
+        x -= render_text(label, LABEL_SIZE, FAINT).get_width()
         write(overlay, label, LABEL_SIZE, FAINT, x, y)
         x -= 14
-        blit_middle(overlay, sprite, x, y)
+        blit_centered(overlay, sprite, x, y)
         x -= 28

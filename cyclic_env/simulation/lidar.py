@@ -14,11 +14,12 @@ and none can slip through a joint of two walls, whatever the rounding.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from cyclic_env.config import LaserConfig
-from cyclic_env.jit import compiled
+from cyclic_env.jit import compiled, inlined
 from cyclic_env.simulation.wall_index import TILE_SIZE, cell_index
 
 TOUCH = 1e-9
@@ -28,11 +29,43 @@ ANGLE_ERROR = 1e-4
 """Radians. Bound on the error of `_angle`; exact tests decide about the beams that near an interval's end."""
 
 
-def beam_directions(laser: LaserConfig) -> np.ndarray:
-    """Return the unit vectors of the beams in the robot's frame, twice around: `(2, 2 * num_beams)`, rows x and y."""
-    bearings = [k * laser.beam_spacing for k in range(laser.num_beams)]
+class Beams(NamedTuple):
+    """The beams of a laser, as the compiled code takes them.
+
+    Attributes
+    ----------
+    directions : (2, 2 * num_beams) float64
+        Their unit vectors in the robot's frame, rows x and y; each beam is there twice, the second time a turn later.
+    first_bearing : float
+        Bearing of beam 0, radians.
+    per_radian, per_turn : float
+        Number of beams, were they all around.
+    range_max : float
+        The laser's reach, metres.
+    sees_all_around : bool
+    """
+
+    directions: np.ndarray
+    first_bearing: float
+    per_radian: float
+    per_turn: float
+    range_max: float
+    sees_all_around: bool
+
+
+def laser_beams(laser: LaserConfig) -> Beams:
+    """Return the beams of a laser."""
+    bearings = laser.bearings.tolist()
     once = np.array([[math.cos(bearing) for bearing in bearings], [math.sin(bearing) for bearing in bearings]])
-    return np.concatenate([once, once], axis=1)
+    per_turn = float(laser.num_beams) if laser.sees_all_around else 2 * math.pi / laser.beam_spacing
+    return Beams(
+        directions=np.concatenate([once, once], axis=1),
+        first_bearing=laser.first_bearing,
+        per_radian=per_turn / (2 * math.pi),
+        per_turn=per_turn,
+        range_max=laser.range_max,
+        sees_all_around=laser.sees_all_around,
+    )
 
 
 def scan(walls: np.ndarray, pose: np.ndarray, laser: LaserConfig) -> np.ndarray:
@@ -45,9 +78,9 @@ def scan(walls: np.ndarray, pose: np.ndarray, laser: LaserConfig) -> np.ndarray:
     pose : (3,) float64
         x, y, heading. Must be in free space.
     laser : LaserConfig
-        Number of beams and reach. A beam that meets no wall reads `range_max`.
+        A beam that meets no wall reads `range_max`.
     """
-    ux, uy = beam_directions(laser)[:, : laser.num_beams, None]
+    ux, uy = laser_beams(laser).directions[:, : laser.num_beams, None]
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     dx1, dy1, dx2, dy2 = (walls - np.array([pose[0], pose[1], pose[0], pose[1]])).T
     x1, y1 = cos * dx1 + sin * dy1, cos * dy1 - sin * dx1
@@ -85,8 +118,40 @@ def _angle(x: float, y: float) -> float:
     return angle
 
 
+@inlined
+def _beam_at(x, y, beams):
+    """Return which beam points at (x, y), from 0 to the number of them in a turn; a fraction is between two."""
+    angle = _angle(x, y) - beams.first_bearing
+    if not beams.sees_all_around or beams.first_bearing != 0.0:
+        angle -= 2 * math.pi * math.floor(angle / (2 * math.pi))
+    return angle * beams.per_radian
+
+
+@inlined
+def _draw_wall(x1, y1, x2, y2, ux, uy, low, high, inverse):
+    """Draw the wall from (x1, y1) to (x2, y2) into beams `low` to `high`: each keeps its largest inverse range."""
+    ex, ey = x2 - x1, y2 - y1
+    area = x1 * y2 - x2 * y1
+    while low <= high and x1 * uy[low] - y1 * ux[low] < -TOUCH:
+        low += 1
+    while low <= high and ux[high] * y2 - uy[high] * x2 < -TOUCH:
+        high -= 1
+    # The ends may lie within TOUCH of the wall's end but beside it; such a beam hits the end itself.
+    while low <= high and x1 * uy[low] - y1 * ux[low] < 0:
+        if ux[low] * ey - uy[low] * ex > 0:
+            inverse[low] = max(inverse[low], 1.0 / math.sqrt(x1 * x1 + y1 * y1))
+        low += 1
+    while low <= high and ux[high] * y2 - uy[high] * x2 < 0:
+        if ux[high] * ey - uy[high] * ex > 0:
+            inverse[high] = max(inverse[high], 1.0 / math.sqrt(x2 * x2 + y2 * y2))
+        high -= 1
+    gain_x, gain_y = ey / area, ex / area
+    for beam in range(low, high + 1):
+        inverse[beam] = max(inverse[beam], ux[beam] * gain_x - uy[beam] * gain_y)
+
+
 @compiled
-def scan_row(tiles, plan, x, y, heading, directions, range_max, inverse, ranges):
+def scan_row(tiles, plan, x, y, heading, beams, inverse, ranges):
     """Write the ranges from one pose into `ranges`.
 
     Parameters
@@ -97,20 +162,16 @@ def scan_row(tiles, plan, x, y, heading, directions, range_max, inverse, ranges)
         Which of the index's plans the robot is in.
     x, y, heading : float
         Metres and radians; must be in free space.
-    directions : (2, 2 * num_beams) float64
-        From `beam_directions`.
-    range_max : float
-        The laser's reach, metres.
+    beams : Beams
     inverse : (2 * num_beams,) float64
         Scratch space.
     ranges : (num_beams,) float64
         Written to, metres.
     """
-    num_beams = ranges.shape[0]
-    ux, uy = directions[0], directions[1]
+    num_beams, range_max = ranges.shape[0], beams.range_max
+    ux, uy = beams.directions[0], beams.directions[1]
     cos, sin = math.cos(heading), math.sin(heading)
-    beams_per_radian = num_beams / (2 * math.pi)
-    slack = ANGLE_ERROR * beams_per_radian
+    slack = ANGLE_ERROR * beams.per_radian
     inverse[:] = 1.0 / range_max
     tile = cell_index(tiles.grids[plan], TILE_SIZE, x, y)
     for i in range(tiles.offsets[tile], tiles.offsets[tile + 1]):
@@ -125,28 +186,17 @@ def scan_row(tiles, plan, x, y, heading, directions, range_max, inverse, ranges)
         length = math.sqrt(ex * ex + ey * ey)
         if area <= 0.5 * TOUCH * length or area > (range_max + TOUCH) * length:
             continue
-        first = _angle(x1, y1) * beams_per_radian
-        last = _angle(x2, y2) * beams_per_radian
-        if last - first < -0.5 * num_beams:
-            last += num_beams
-        elif last - first > 0.5 * num_beams:
-            last -= num_beams
+        first, last = _beam_at(x1, y1, beams), _beam_at(x2, y2, beams)
+        if last - first < -0.5 * beams.per_turn:
+            last += beams.per_turn
+        elif last - first > 0.5 * beams.per_turn:
+            last -= beams.per_turn
         low, high = math.ceil(first - slack), math.floor(last + slack)
-        while low <= high and x1 * uy[low] - y1 * ux[low] < -TOUCH:
-            low += 1
-        while low <= high and ux[high] * y2 - uy[high] * x2 < -TOUCH:
-            high -= 1
-        # The ends may lie within TOUCH of the wall's end but beside it; such a beam hits the end itself.
-        while low <= high and x1 * uy[low] - y1 * ux[low] < 0:
-            if ux[low] * ey - uy[low] * ex > 0:
-                inverse[low] = max(inverse[low], 1.0 / math.sqrt(x1 * x1 + y1 * y1))
-            low += 1
-        while low <= high and ux[high] * y2 - uy[high] * x2 < 0:
-            if ux[high] * ey - uy[high] * ex > 0:
-                inverse[high] = max(inverse[high], 1.0 / math.sqrt(x2 * x2 + y2 * y2))
-            high -= 1
-        gain_x, gain_y = ey / area, ex / area
-        for beam in range(low, high + 1):
-            inverse[beam] = max(inverse[beam], ux[beam] * gain_x - uy[beam] * gain_y)
+        if beams.sees_all_around:
+            _draw_wall(x1, y1, x2, y2, ux, uy, low, high, inverse)
+        else:  # a wall across the gap between the last beam and beam 0 can be seen at both edges
+            _draw_wall(x1, y1, x2, y2, ux, uy, low, min(high, num_beams - 1), inverse)
+            high = math.floor(last - beams.per_turn + slack)
+            _draw_wall(x1, y1, x2, y2, ux, uy, 0, min(high, num_beams - 1), inverse)
     for beam in range(num_beams):
         ranges[beam] = 1.0 / max(inverse[beam], inverse[beam + num_beams])

@@ -16,11 +16,26 @@ import numpy as np
 from cyclic_env.config import LaserConfig, NoiseConfig
 from cyclic_env.jit import call_c, compiled
 
-DISTANCE_MAX = 1e5
-"""Metres, to either side; the distance meter shows no more."""
-
 FIELD_WAVES = 64
 """Plane waves whose sum is the compass field; the more, the nearer to a Gaussian field."""
+
+
+TERMS = np.dtype(
+    [
+        (name, "f8")
+        for name in (
+            "drift",  # of the distance meter
+            "white",  # noise of the compass, and the amplitude of the waves of its field
+            "field_amplitude",
+            "laser_sigma",
+            "laser_sigma_relative",
+            "laser_short",
+            "laser_max",
+            "laser_random",
+        )
+    ]
+)
+"""What the sensors of a robot err by in this episode; see `NoiseConfig`."""
 
 
 class Fills(NamedTuple):
@@ -49,6 +64,13 @@ FILLS = numpy_fills()
 class Sensors:
     """What the sensors of N robots have drawn for the episode, and their readings.
 
+    Parameters
+    ----------
+    noise : sequence of NoiseConfig
+        Of several, a robot draws one at each reset.
+    laser : LaserConfig
+    num_robots : int
+
     Attributes
     ----------
     true_ranges : (N, num_beams) float64
@@ -61,22 +83,22 @@ class Sensors:
         Readings of the compasses: unit vectors, east and north.
     """
 
-    def __init__(self, noise: NoiseConfig, laser: LaserConfig, num_robots: int) -> None:
-        self.noise = noise
+    def __init__(self, noise: Sequence[NoiseConfig], laser: LaserConfig, num_robots: int) -> None:
+        self.noise = tuple(noise)
         self.laser = laser
+        self._laser_is_exact = all(one.laser_is_exact for one in noise)
         self.true_ranges = np.zeros((num_robots, laser.num_beams))
-        self.ranges = self.true_ranges if noise.laser_is_exact else np.zeros((num_robots, laser.num_beams))
+        self.ranges = self.true_ranges if self._laser_is_exact else np.zeros((num_robots, laser.num_beams))
         self.distance = np.zeros(num_robots)
         self.compass = np.zeros((num_robots, 2))
         self._scale = np.ones(num_robots)
         # Wave numbers east and north, and phase, of the waves of each robot's compass field.
-        waves = FIELD_WAVES if noise.compass_field_deg > 0 else 0
+        waves = FIELD_WAVES if any(one.compass_field_deg > 0 for one in noise) else 0
         self._field = np.zeros((num_robots, waves, 3))
-        self._field_amplitude = math.radians(noise.compass_field_deg) * math.sqrt(2 / FIELD_WAVES)
-        self._white = math.radians(noise.compass_white_deg)
-        self._drifts = noise.distance_drift > 0 or self._white > 0
+        self._terms = np.zeros(num_robots, TERMS)
+        self._drifts = any(one.distance_drift > 0 or one.compass_white_deg > 0 for one in noise)
         self._normals = np.zeros((num_robots, 2))
-        drawn = 0 if noise.laser_is_exact else laser.num_beams
+        drawn = 0 if self._laser_is_exact else laser.num_beams
         # Single precision, as the observations are: it is drawn in half the time.
         self._beam_uniforms = np.zeros((num_robots, drawn), np.float32)
         self._beam_normals = np.zeros((num_robots, drawn), np.float32)
@@ -84,11 +106,23 @@ class Sensors:
     def reset_row(self, row: int, rng: np.random.Generator) -> None:
         """Draw a robot's errors for an episode; its distance meter starts at 0."""
         self.distance[row] = 0.0
-        if self.noise.distance_scale > 0:
-            self._scale[row] = 1.0 + self.noise.distance_scale * rng.standard_normal()
-        if self._field.shape[1]:
+        noise = self.noise[int(rng.integers(len(self.noise))) if len(self.noise) > 1 else 0]
+        self._terms[row] = (
+            noise.distance_drift,
+            math.radians(noise.compass_white_deg),
+            math.radians(noise.compass_field_deg) * math.sqrt(2 / FIELD_WAVES),
+            noise.laser_sigma,
+            noise.laser_sigma_relative,
+            noise.laser_short,
+            noise.laser_max,
+            noise.laser_random,
+        )
+        self._scale[row] = 1.0
+        if noise.distance_scale > 0:
+            self._scale[row] += noise.distance_scale * rng.standard_normal()
+        if noise.compass_field_deg > 0:
             field = self._field[row]
-            field[:, :2] = rng.standard_normal((FIELD_WAVES, 2)) / self.noise.compass_field_length
+            field[:, :2] = rng.standard_normal((FIELD_WAVES, 2)) / noise.compass_field_length
             field[:, 2] = rng.uniform(0, 2 * math.pi, FIELD_WAVES)
 
     def measure_rows(self, rows: np.ndarray, drive: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
@@ -101,35 +135,23 @@ class Sensors:
             With `x`, `y`, `angle`, and `travel`: the signed displacement along the heading in this step, metres.
         rngs : sequence of N Generators
         """
-        noise = self.noise
         self._draw(rows, rngs)
-        read_rows(
-            rows,
-            drive,
-            self._scale,
-            noise.distance_drift,
-            self._white,
-            self._field,
-            self._field_amplitude,
-            self._normals,
-            self.distance,
-            self.compass,
-        )
-        if noise.laser_is_exact:
+        read_rows(rows, drive, self._terms, self._scale, self._field, self._normals, self.distance, self.compass)
+        if self._laser_is_exact:
             return
         disturb_rows(
             rows,
             self.true_ranges,
+            self._terms,
             self._beam_uniforms,
             self._beam_normals,
             float(self.laser.range_max),
-            (noise.laser_sigma, noise.laser_sigma_relative, noise.laser_short, noise.laser_max, noise.laser_random),
             self.ranges,
         )
 
     def _draw(self, rows: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw the random numbers of a step, from each robot's own generator."""
-        if not self._drifts and self.noise.laser_is_exact:
+        if not self._drifts and self._laser_is_exact:
             return
         if all(FILLS):
             generators = [rngs[row].bit_generator.ctypes.bit_generator.value for row in rows.tolist()]
@@ -144,7 +166,7 @@ class Sensors:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        if self.noise.laser_is_exact:
+        if self._laser_is_exact:
             self.ranges = self.true_ranges
 
 
@@ -172,18 +194,18 @@ def field_at(waves, amplitude, x, y):
 
 
 @compiled
-def read_rows(rows, drive, scale, drift, white, field, field_amplitude, normals, distance, compass):
+def read_rows(rows, drive, terms, scale, field, normals, distance, compass):
     """Add the last step to the distance meters, and read the compasses, of the robots `rows`."""
     for row in rows:
-        robot = drive[row]
-        distance[row] += robot.travel * scale[row] + drift * math.sqrt(abs(robot.travel)) * normals[row, 0]
-        deflection = field_at(field[row], field_amplitude, robot.x, robot.y)
-        shown = robot.angle + deflection + white * normals[row, 1]
+        robot, noise = drive[row], terms[row]
+        distance[row] += robot.travel * scale[row] + noise.drift * math.sqrt(abs(robot.travel)) * normals[row, 0]
+        deflection = field_at(field[row], noise.field_amplitude, robot.x, robot.y)
+        shown = robot.angle + deflection + noise.white * normals[row, 1]
         compass[row, 0], compass[row, 1] = math.cos(shown), math.sin(shown)
 
 
 @compiled
-def disturb_rows(rows, true_ranges, uniforms, normals, range_max, terms, ranges):
+def disturb_rows(rows, true_ranges, terms, uniforms, normals, range_max, ranges):
     """Write into `ranges` what the beam model makes of the true ranges of the robots `rows`.
 
     One uniform number decides both which of the terms a beam meets and, stretched, the range that it then reads.
@@ -192,15 +214,16 @@ def disturb_rows(rows, true_ranges, uniforms, normals, range_max, terms, ranges)
     ----------
     rows : (n,) int64
     true_ranges : (N, num_beams) float64
+    terms : (N,) array of `TERMS`
     uniforms, normals : (N, num_beams) float32
     range_max : float
-    terms : tuple of 5 floats
-        Of `NoiseConfig`: laser_sigma, laser_sigma_relative, laser_short, laser_max, laser_random.
     ranges : (N, num_beams) float64
         Written to.
     """
-    sigma, relative, short, maximum, random = terms
     for row in rows:
+        noise = terms[row]
+        sigma, relative = noise.laser_sigma, noise.laser_sigma_relative
+        short, maximum, random = noise.laser_short, noise.laser_max, noise.laser_random
         for beam in range(true_ranges.shape[1]):
             true, u = true_ranges[row, beam], float(uniforms[row, beam])
             if u < short:

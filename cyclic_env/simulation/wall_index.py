@@ -91,6 +91,16 @@ def join_wall_indices(tiles: WallIndex, others: WallIndex) -> WallIndex:
     )
 
 
+def no_walls() -> WallIndex:
+    """Return the index of open ground: a plan of one tile, without walls."""
+    return WallIndex(
+        grids=np.array([(0.0, 0.0, 1, 1, 0)], GRID),
+        walls=np.empty((0, 4)),
+        offsets=np.zeros(2, np.int64),
+        indices=np.empty(0, np.int32),
+    )
+
+
 def joined_grids(grids: np.ndarray, others: np.ndarray, count: int) -> np.ndarray:
     """Return the squares of both pools of plans, there being `count` of them in the first one."""
     joined = np.concatenate([grids, others])
@@ -172,3 +182,26 @@ def cell_index(grid, size, x, y):
     column = min(max(int((x - grid.west) / size), 0), grid.columns - 1)
     row = min(max(int((y - grid.south) / size), 0), grid.rows - 1)
     return grid.first + row * grid.columns + column
+
+
+@compiled
+def line_of_sight(wall_index, plan, ax, ay, bx, by):
+    """Tell whether the straight line from a to b, no longer than the index's reach, meets no wall."""
+    tile = cell_index(wall_index.grids[plan], TILE_SIZE, ax, ay)
+    dx, dy = bx - ax, by - ay
+    west, east, south, north = min(ax, bx), max(ax, bx), min(ay, by), max(ay, by)
+    for i in range(wall_index.offsets[tile], wall_index.offsets[tile + 1]):
+        wall = wall_index.walls[wall_index.indices[i]]
+        x1, y1, x2, y2 = wall[0], wall[1], wall[2], wall[3]
+        if max(x1, x2) < west or min(x1, x2) > east or max(y1, y2) < south or min(y1, y2) > north:
+            continue
+        side_1 = dx * (y1 - ay) - dy * (x1 - ax)
+        side_2 = dx * (y2 - ay) - dy * (x2 - ax)
+        if (side_1 > 0 and side_2 > 0) or (side_1 < 0 and side_2 < 0):
+            continue
+        side_a = (x2 - x1) * (ay - y1) - (y2 - y1) * (ax - x1)
+        side_b = (x2 - x1) * (by - y1) - (y2 - y1) * (bx - x1)
+        if (side_a > 0 and side_b > 0) or (side_a < 0 and side_b < 0):
+            continue
+        return False
+    return True

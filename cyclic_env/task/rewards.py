@@ -1,4 +1,4 @@
-"""The reward: a weighted sum of named terms, which are also in the info, so that the two can't disagree."""
+"""The reward: a weighted sum of named terms, which the info holds as well, so that the two can't disagree."""
 
 from __future__ import annotations
 
@@ -11,15 +11,17 @@ REWARD_TERMS = ("coverage", "new_cycle", "false_claim", "missed_revisit", "colli
 
 
 def reward_weights(config: RewardConfig, cycles_total: np.ndarray, step_budget: np.ndarray) -> np.ndarray:
-    """Return what a unit of each term is worth, `(P, 6)`.
+    """Return what a unit of each term is worth, `(P, 6)`, in the order of `REWARD_TERMS`.
 
-    The units are: all free cells newly seen, a cycle, a false claim, a missed revisit, a step in contact, a step.
+    A unit of coverage is all free cells newly seen, one of the collision term is a step in contact, and one of the time
+    term is a step. An episode that a collision ends is charged the steps that are left of its budget as well, so that
+    crashing doesn't save time.
 
     Parameters
     ----------
     config : RewardConfig
     cycles_total, step_budget : (P,) int64
-        Of each plan.
+        Number of cycles and steps of each plan.
     """
     ones = np.ones(len(cycles_total))
     columns = {
@@ -34,14 +36,24 @@ def reward_weights(config: RewardConfig, cycles_total: np.ndarray, step_budget: 
 
 
 @compiled
-def reward_row(weights, newly_seen, new_cycle, false_claims, missed, contact, terms):
-    """Write the terms of a step's reward into `terms` (6,), in the order of `REWARD_TERMS`, and return their sum."""
-    terms[0] = weights[0] * newly_seen
-    terms[1] = weights[1] * new_cycle
-    terms[2] = weights[2] * false_claims
-    terms[3] = weights[3] * missed
-    terms[4] = weights[4] * contact
-    terms[5] = weights[5]
+def reward_row(weights, units, terms):
+    """Write the terms of a step's reward into `terms` (6,), and return their sum.
+
+    Parameters
+    ----------
+    weights : (6,) float64
+        A row of `reward_weights`.
+    units : tuple of 6 numbers
+        How many units of each term the step brought, in the order of `REWARD_TERMS`.
+    terms : (6,) float64
+        Written to.
+    """
+    terms[0] = weights[0] * units[0]
+    terms[1] = weights[1] * units[1]
+    terms[2] = weights[2] * units[2]
+    terms[3] = weights[3] * units[3]
+    terms[4] = weights[4] * units[4]
+    terms[5] = weights[5] * units[5]
     total = 0.0
     for i in range(terms.shape[0]):
         terms[i] += 0.0  # makes 0.0 of -0.0

@@ -1,1 +1,1 @@
-"""Trajectories: dead reckoning, error metrics, and files in the formats TUM and g2o."""
+"""Trajectories: dead reckoning, error metrics, and files in the TUM and g2o formats."""

@@ -1,1 +1,1 @@
-"""The task driven by hand: the state of the game and its view."""
+"""Playing the task by hand: the state of a game and its picture."""

@@ -31,8 +31,8 @@ VARIATIONS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
         "only those without a wall in range": {"changes": {"unbounded_only": True}},
     },
     "rows that ask": {
-        "the first 5 of a group": {"changes": {"asking_rows": 5}},
-        "every row": {"changes": {"asking_rows": None}},
+        "the first 5 of a group": {"changes": {"asked_rows": 5}},
+        "every row": {"changes": {"asked_rows": None}},
     },
     "a visited place": {
         "is joined to the known one": {},

@@ -14,10 +14,11 @@ from matplotlib.patches import FancyBboxPatch, Polygon
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
+from agents.knn.plotting import draw_groups, draw_open_areas
 from agents.knn.similarity import MEASURES
 from cyclic_env import load_floor_plan
 from cyclic_env.atomic_write import atomic_write
-from cyclic_env.rendering.figures import add_legend, draw_claims, draw_groups, draw_open_areas, draw_path, plan_figure
+from cyclic_env.rendering.figures import add_legend, draw_claims, draw_path, plan_figure
 from scripts.paper.experiments import EXPLORERS, intervals
 from scripts.paper.recognition import BEAMS, SECTORS, SecondLap
 from scripts.paper.runs import BEAM_ROUNDING, RunRecord

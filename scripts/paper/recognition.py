@@ -15,8 +15,9 @@ from sklearn.metrics import precision_recall_curve
 
 from agents.knn.similarity import MEASURES, Measure
 from cyclic_env import load_floor_plan
+from cyclic_env.task.judgement import true_returns
+from cyclic_env.task.loop_closure import RETURNS
 from scripts.paper.runs import RunRecord, drive_again
-from scripts.paper.truth import true_returns
 
 SECTORS, BEAMS = "7 sectors", "all beams"
 NEIGHBOURS = 4
@@ -44,7 +45,7 @@ class SecondLap:
         self.record = drive_again(record)
         self.rows = len(record.step)
         plan = load_floor_plan(record.settings.map)
-        truth = true_returns(plan, self.record.trajectory, self.record.step)
+        truth = true_returns(plan, self.record.trajectory, self.record.step) == RETURNS
         self.returns = truth[self.rows :, : self.rows]
 
     def distances(self, measure: Measure, vectors: str) -> np.ndarray:

@@ -10,11 +10,12 @@ import numpy as np
 
 from agents.knn.config import ExplorerConfig, preset
 from agents.knn.directions import sector_features
-from agents.knn.explorer import KnnExplorer, Memory
+from agents.knn.explorer import KnnExplorer
+from agents.knn.policy import KnnPolicy
 from agents.slam.scan_filters import despeckle
 from cyclic_env import CyclicLoopEnv, NoiseConfig
 from cyclic_env.config import noise_from_name
-from cyclic_env.trajectory.io import ate
+from cyclic_env.trajectory.metrics import ate
 
 BEAM_ROUNDING = 0.5
 """Beams are stored as multiples of this many metres, as the sectors are by default."""
@@ -88,7 +89,7 @@ def scaled_noise(name: str, scale: float) -> NoiseConfig:
 
 def run_explorer(settings: RunSettings) -> RunRecord:
     """Run one episode to its end; an explorer whose list of open areas is empty stands still for the rest of it."""
-    explorer = KnnExplorer(settings.config)
+    policy = KnnPolicy(settings.config)
     env = CyclicLoopEnv(
         settings.map,
         noise=scaled_noise(settings.noise, settings.noise_scale),
@@ -98,7 +99,7 @@ def run_explorer(settings: RunSettings) -> RunRecord:
     observation, info = env.reset(seed=settings.seed)
     state, total, ending, headings = None, 0.0, "", [info["heading"]]
     while not ending:
-        action, state = explorer.predict(observation, state)
+        action, state = policy.predict(observation, state)
         observation, reward, terminated, truncated, info = env.step(action)
         total += reward
         headings.append(info["heading"])
@@ -107,37 +108,36 @@ def run_explorer(settings: RunSettings) -> RunRecord:
         elif truncated:
             ending = "list empty" if state[0].done else "step budget"
     assert state is not None
-    record = _record(settings, env, state[0], np.array(headings), {"return": total, "ending": ending})
+    scalars = {name: value for name, value in info.items() if name != "reward_terms"}
+    record = _record(settings, env, state[0], np.array(headings), scalars | {"return": total, "ending": ending})
     env.close()
     return record
 
 
 def _record(
-    settings: RunSettings, env: CyclicLoopEnv, memory: Memory, headings: np.ndarray, metrics: dict[str, Any]
+    settings: RunSettings, env: CyclicLoopEnv, explorer: KnnExplorer, headings: np.ndarray, metrics: dict[str, Any]
 ) -> RunRecord:
-    places, trajectory = memory.places, env.trajectory()
-    position = trajectory[places.step, :2]
-    info = env.engine.info[0]
-    areas = memory.areas.listed
+    keyframes, trajectory = explorer.keyframes, env.trajectory()
+    position = trajectory[keyframes.step, :2]
+    areas = explorer.frontiers.listed
     return RunRecord(
         settings=settings,
         metrics={
-            **dict(zip(info.dtype.names, info.item(), strict=True)),
             **metrics,
             "tour_m": env.floor_plan.closed_tour(),
-            "group_names": [group.name for group in memory.groups],
+            "group_names": [group.name for group in explorer.groups],
             "area_states": [area.state for area in areas],
-            "dead_reckoning_ate_m": ate(places.odometry, position - trajectory[0, :2]) if places.count else 0.0,
+            "dead_reckoning_ate_m": ate(keyframes.odometry, position - trajectory[0, :2]) if keyframes.count else 0.0,
         },
         trajectory=trajectory,
         claims=env.claims(),
-        step=places.step.copy(),
-        heading=headings[places.step],
-        direction=places.direction.astype(np.int8),
-        group=places.group.copy(),
-        features=places.features.astype(np.int16),
-        beams=np.rint(places.scan / BEAM_ROUNDING).astype(np.uint8),
-        areas=np.array([position[area.place] + area.offset for area in areas]).reshape(-1, 2),
+        step=keyframes.step.copy(),
+        heading=headings[keyframes.step],
+        direction=keyframes.direction.astype(np.int8),
+        group=keyframes.group.copy(),
+        features=keyframes.features.astype(np.int16),
+        beams=np.rint(keyframes.scan / BEAM_ROUNDING).astype(np.uint8),
+        areas=np.array([position[area.keyframe] + area.offset for area in areas]).reshape(-1, 2),
     )
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import itertools
 import math
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -11,22 +11,27 @@ import numpy as np
 import pytest
 import shapely
 
+from agents.exploration.planner import PlannerConfig
 from agents.knn.config import PRESETS, calibrated_thresholds, preset
 from agents.knn.directions import EAST, NORTH, WEST, compass_direction, sector_features
-from agents.knn.explorer import KnnExplorer, Memory
-from agents.knn.loop_detector import Detector, returned
+from agents.knn.explorer import KnnExplorer
+from agents.knn.loop_detector import AppearanceDetector, revisit_candidates
+from agents.knn.policy import KnnPolicy
 from agents.slam.keyframes import Keyframes
+from agents.slam.scan_matching import MatcherConfig
+from agents.slam.tracker import DeadReckoningTracker
 from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv, FloorPlan
+from cyclic_env.config import LaserConfig, RobotConfig
 from cyclic_env.errors import ConfigError
 
 BEAMS = 180
 
 
 def explore(
-    name: str | FloorPlan, explorer: KnnExplorer | None = None, *, seed: int = 0, steps: int = 10**9, **settings: Any
-) -> tuple[dict[str, Any], Memory]:
+    name: str | FloorPlan, explorer: KnnPolicy | None = None, *, seed: int = 0, steps: int = 10**9, **settings: Any
+) -> tuple[dict[str, Any], KnnExplorer]:
     """Run an episode to its end, or until nothing is left to explore; return the last info and the memory."""
-    explorer = KnnExplorer() if explorer is None else explorer
+    explorer = KnnPolicy() if explorer is None else explorer
     env = CyclicLoopEnv(name, **settings)
     observation, info = env.reset(seed=seed)
     state = None
@@ -50,7 +55,7 @@ def test_a_wobble_does_not_change_the_direction() -> None:
 
 
 def test_north_west_north_gives_two_of_north_and_one_of_west() -> None:
-    explorer, state = KnnExplorer(), None
+    explorer, state = KnnPolicy(), None
     for degrees in (90, 90, 120, 180, 170, 100, 90):
         compass = [math.cos(math.radians(degrees)), math.sin(math.radians(degrees))]
         observation = {"laser": np.full(BEAMS, 3.0), "distance": np.zeros(1), "compass": np.array(compass)}
@@ -79,18 +84,18 @@ def test_looking_back_is_what_is_ahead_after_turning_round() -> None:
 
 def test_only_places_that_were_left_and_are_a_way_back_count_as_returned_to() -> None:
     path = np.array([0.0, 5.0, 10.0, 15.0, 20.0, 24.0])
-    assert returned(path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0])).tolist() == [0]
-    assert returned(path, np.array([1.0, 5.0, 9.0, 5.0, 1.0, 0.0])).tolist() == []
-    assert returned(0.8 * path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0])).tolist() == []
+    assert revisit_candidates(path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0]), 20.1, 10.1).tolist() == [0]
+    assert revisit_candidates(path, np.array([1.0, 5.0, 9.0, 5.0, 1.0, 0.0]), 20.1, 10.1).tolist() == []
+    assert revisit_candidates(0.8 * path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0]), 20.1, 10.1).tolist() == []
 
 
 def voted(features: list[list[int]], groups: list[int], query: list[int]) -> int | None:
     """Return the row that the paper's detector finds visited, of rows of one direction in these groups."""
-    places = Keyframes(BEAMS, 3)
+    keyframes = Keyframes(BEAMS, 3)
     for row, (values, group) in enumerate(zip([*features, query], [*groups, 99], strict=True)):
-        places.add(features=np.array([values, values]), group=group, direction=NORTH, step=row)
+        keyframes.add(features=np.array([values, values]), group=group, direction=NORTH, step=row)
     config = preset("paper", sectors=3, measure="euclidean", threshold=0.4)
-    return Detector(config)._by_vote(places).visited
+    return AppearanceDetector(config).detect(keyframes, DeadReckoningTracker(), np.zeros(keyframes.count)).visited
 
 
 def test_the_group_with_most_of_the_four_nearest_wins_with_its_nearest_row() -> None:
@@ -129,25 +134,25 @@ def test_it_finds_its_way_with_typical_noise() -> None:
     info, memory = explore("twin_rings", noise="typical", seed=1)
     assert info["coverage"] > 0.95
     assert info["false_claims"] == 0
-    assert len(memory.track.edges) >= memory.places.count - 1
+    assert len(memory.tracker.edges) >= memory.keyframes.count - 1
 
 
 @pytest.mark.parametrize("action_type", ["twist", "discrete"])
 def test_it_drives_with_every_action_type(action_type: Any) -> None:
-    info, _ = explore("ring", KnnExplorer(action_type=action_type), steps=300, action_type=action_type)
+    info, _ = explore("ring", KnnPolicy(action_type=action_type), steps=300, action_type=action_type)
     assert info["coverage"] > 0.5
 
 
 def test_the_preset_of_the_paper_compares_tables_of_one_direction_and_stops() -> None:
-    info, memory = explore("figure_eight", KnnExplorer(PRESETS["paper"]))
+    info, memory = explore("figure_eight", KnnPolicy(PRESETS["paper"]))
     assert memory.done
-    assert memory.detector.compared > 0
+    assert memory.detector.vote.compared > 0
     assert info["path_length_m"] > 10
 
 
 def test_rows_of_a_batch_are_explored_as_alone() -> None:
     env = CyclicLoopVectorEnv(3, "office", noise="typical", autoreset_mode="SAME_STEP")
-    explorer, state = KnnExplorer(), None
+    explorer, state = KnnPolicy(), None
     observation, _ = env.reset(seed=[5, 6, 7])
     batch = []
     start = np.ones(3, np.bool_)
@@ -163,19 +168,6 @@ def test_rows_of_a_batch_are_explored_as_alone() -> None:
         action, memory = explorer.predict(one, memory)
         np.testing.assert_array_equal(action, actions[1])
         one, *_ = alone.step(action)
-
-
-def of_two_robots() -> dict[str, np.ndarray]:
-    """Return an observation of two robots that stand three metres from all walls and face east."""
-    return {"laser": np.full((2, BEAMS), 3.0), "distance": np.zeros((2, 1)), "compass": np.array([[1.0, 0.0]] * 2)}
-
-
-def test_an_episode_that_begins_is_begun_with_an_empty_memory() -> None:
-    explorer = KnnExplorer()
-    observation = of_two_robots()
-    _, state = explorer.predict(observation)
-    _, state = explorer.predict(observation, state, np.array([False, True]))
-    assert [memory.steps for memory in state] == [2, 1]
 
 
 # Garbage.
@@ -199,7 +191,7 @@ def test_garbage_neither_raises_nor_hangs_and_claiming_stops(kind: str) -> None:
     rng = np.random.default_rng(0)
     env = CyclicLoopEnv("figure_eight")
     observation, _ = env.reset(seed=0)
-    explorer, state, claims = KnnExplorer(), None, 0
+    explorer, state, claims = KnnPolicy(), None, 0
     for step in range(900):
         if step >= 450:
             observation = {**observation, **{name: make(rng, step) for name, make in GARBAGE[kind].items()}}
@@ -240,47 +232,11 @@ def test_an_unknown_preset_is_refused_with_the_nearest_name() -> None:
         preset("extend")
 
 
-def test_a_state_of_another_batch_is_refused() -> None:
-    explorer = KnnExplorer()
-    observation = of_two_robots()
-    _, state = explorer.predict(observation)
-    with pytest.raises(ConfigError, match="2 robots"):
-        explorer.predict({name: value[:1] for name, value in observation.items()}, state)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"compass": None}, "no compass"),
-        ({"laser": "far"}, "laser is not an array of numbers"),
-        ({"laser": np.zeros((2, 3, 180))}, r"shapes \(2, 3, 180\)"),
-        ({"distance": np.zeros((3, 1))}, r"\(3, 1\)"),
-        ({"compass": np.full((2, 2), np.nan)}, "not finite"),
-        ({"laser": np.ones((2, 11))}, "7 sectors need 12"),
-        ({"distance": np.full((2, 1), 1e20)}, r"at most 100000 m"),
-    ],
-)
-def test_an_observation_that_is_none_is_refused_with_what_is_expected(changes: dict[str, Any], message: str) -> None:
-    observation = {name: value for name, value in {**of_two_robots(), **changes}.items() if value is not None}
-    with pytest.raises(ConfigError, match=message):
-        KnnExplorer().predict(observation)
-    with pytest.raises(ConfigError, match="a dict with"):
-        KnnExplorer().predict(np.zeros(180))
-
-
-def test_a_state_of_another_laser_or_starts_of_other_robots_are_refused() -> None:
-    explorer, observation = KnnExplorer(), of_two_robots()
-    _, state = explorer.predict(observation)
-    with pytest.raises(ConfigError, match="180 beams, the observation of 90"):
-        explorer.predict({**observation, "laser": observation["laser"][:, ::2]}, state)
-    with pytest.raises(ConfigError, match="episode_start is of 3"):
-        explorer.predict(observation, state, np.zeros(3, np.bool_))
-
-
 def test_ranges_that_are_infinite_or_no_numbers_met_nothing() -> None:
-    explorer, state, other = KnnExplorer(), None, None
-    for observation in itertools.repeat(of_two_robots(), 5):
-        laser = observation["laser"].copy()
+    explorer, state, other = KnnPolicy(), None, None
+    for _ in range(5):
+        observation = {"distance": np.zeros((2, 1)), "compass": np.array([[1.0, 0.0]] * 2)}
+        laser = np.full((2, BEAMS), 3.0)
         laser[:, 20:40] = 12.0
         odd = laser.copy()
         odd[:, 20:30], odd[:, 30:40] = np.inf, np.nan
@@ -289,12 +245,29 @@ def test_ranges_that_are_infinite_or_no_numbers_met_nothing() -> None:
         np.testing.assert_array_equal(actions, others)
 
 
-def test_a_config_or_a_state_that_is_none_is_refused() -> None:
+def test_a_config_that_is_none_is_refused() -> None:
     with pytest.raises(ConfigError, match="expected an ExplorerConfig"):
-        KnnExplorer("paper")  # pyright: ignore[reportArgumentType]
-    for state in (5, "x", (1, 2)):
-        with pytest.raises(ConfigError, match="expected what the last predict returned"):
-            KnnExplorer().predict(of_two_robots(), state)
+        KnnPolicy("paper")  # pyright: ignore[reportArgumentType]
+
+
+def test_components_settings_are_checked_and_saved_with_the_rest() -> None:
+    with pytest.raises(ConfigError, match=r"PlannerConfig.patience is -1.0"):
+        PlannerConfig(patience=-1.0)
+    with pytest.raises(ConfigError, match=r"MatcherConfig.iterations is 1.5"):
+        MatcherConfig(iterations=1.5)  # pyright: ignore[reportArgumentType]
+    saved = asdict(preset("extended", planner=PlannerConfig(patience=5)))
+    assert saved["planner"]["patience"] == 5.0
+    assert saved["loops"]["gap"] == 20.1
+
+
+def test_a_larger_slower_robot_keeps_off_walls_and_is_waited_for() -> None:
+    usual = preset("extended")
+    assert usual.fitted(LaserConfig(), RobotConfig()) == usual
+    fitted = usual.fitted(LaserConfig(range_max=8.0), RobotConfig(radius=0.35, wheel_speed_max=0.6, dt=0.1))
+    assert (fitted.range_max, fitted.dt) == (8.0, 0.1)
+    assert fitted.planner.half_width == pytest.approx(usual.planner.half_width + 0.1)
+    assert fitted.costmap.clearance == pytest.approx(usual.costmap.clearance + 0.1)
+    assert fitted.planner.patience == 2 * usual.planner.patience
 
 
 @pytest.mark.parametrize("text", ["", "[]", '{"measures": {}}', '{"measures": {"cosine": null}}'])
@@ -306,11 +279,11 @@ def test_damaged_thresholds_are_one_clear_error(tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_distance_meter_need_not_begin_at_zero() -> None:
-    explorer = KnnExplorer()
+    explorer = KnnPolicy()
     observation = {"laser": np.full(BEAMS, 3.0), "distance": np.array([1234.5]), "compass": np.array([1.0, 0.0])}
     _, state = explorer.predict(observation)
     _, state = explorer.predict({**observation, "distance": np.array([1234.7])}, state)
-    np.testing.assert_allclose(state[0].track.pose, (0.2, 0.0, 0.0), atol=1e-9)
+    np.testing.assert_allclose(state[0].tracker.pose, (0.2, 0.0, 0.0), atol=1e-9)
     assert not state[0].trusted_from
 
 

@@ -10,13 +10,11 @@ import shapely
 from numpy.testing import assert_array_equal
 
 from cyclic_env.analysis.perceptual_aliasing import (
-    CANDIDATES_APART,
-    FAR,
-    HOPEFUL,
+    CANDIDATE_SPACING,
     LASER,
+    MIN_DISTANCE,
     TOLERANCE,
-    aliasing,
-    nearest_looks,
+    find_candidates,
     perceptual_aliasing,
 )
 from cyclic_env.floor_plans import (
@@ -44,9 +42,13 @@ def twin_rooms(shift: tuple[float, float], end: float = 0.0) -> FloorPlan:
     return FloorPlan("twin_rooms", shapely.union_all(parts), (2.0, 2.0, 0.0))  # pyright: ignore[reportArgumentType]
 
 
+def aliasing(plan: FloorPlan) -> float:
+    return perceptual_aliasing(plan).share
+
+
 def share_in_rooms(plan: FloorPlan) -> float:
-    looks = perceptual_aliasing(plan)
-    return float(looks.alike[looks.places[:, 1] < 4].mean())
+    result = perceptual_aliasing(plan)
+    return float(result.aliased[result.positions[:, 1] < 4].mean())
 
 
 def corridor(length: float) -> FloorPlan:
@@ -72,20 +74,20 @@ def test_the_middle_of_a_long_plain_corridor_looks_the_same_all_along(length: fl
 
 
 def test_a_building_that_a_place_sees_whole_has_no_look_alikes(square_room: FloorPlan) -> None:
-    looks = perceptual_aliasing(square_room)
-    assert len(looks.places) > 80
-    assert looks.share == 0.0
+    result = perceptual_aliasing(square_room)
+    assert len(result.positions) > 80
+    assert result.share == 0.0
 
 
 def test_what_has_a_look_alike_on_the_lattice_is_found() -> None:
     plan = load_floor_plan("twin_rings")
-    looks = perceptual_aliasing(plan)
-    scans = np.array([scan(plan.walls, np.array([*place, 0.0]), LASER) for place in looks.places])
+    result = perceptual_aliasing(plan)
+    scans = np.array([scan(plan.walls, np.array([*place, 0.0]), LASER) for place in result.positions])
     differences = np.abs(scans[:, None] - scans).mean(axis=2)
-    apart = np.linalg.norm(looks.places[:, None] - looks.places, axis=2)
-    twins = ((differences < TOLERANCE - 1e-6) & (apart > FAR)).any(axis=1)
+    apart = np.linalg.norm(result.positions[:, None] - result.positions, axis=2)
+    twins = ((differences < TOLERANCE - 1e-6) & (apart > MIN_DISTANCE)).any(axis=1)
     assert twins.sum() > 100
-    assert looks.alike[twins].all()
+    assert result.aliased[twins].all()
 
 
 def test_candidates_are_the_nearest_looks_one_from_each_place() -> None:
@@ -94,13 +96,13 @@ def test_candidates_are_the_nearest_looks_one_from_each_place() -> None:
     scans = rng.uniform(1, 1.6, (400, 40)).astype(np.float32)
     queries = np.arange(0, 400, 7)
     chosen = np.empty((len(queries), 3), np.int64)
-    nearest_looks(points, scans, queries, FAR, HOPEFUL, CANDIDATES_APART, np.empty(3), chosen)
+    find_candidates(points, scans, queries, np.empty(3), chosen)
     for query, found in zip(queries, chosen, strict=True):
         differences = np.abs(scans - scans[query]).mean(axis=1)
-        differences[np.linalg.norm(points - points[query], axis=1) <= FAR] = np.inf
+        differences[np.linalg.norm(points - points[query], axis=1) <= MIN_DISTANCE] = np.inf
         expected = []
         for i in np.argsort(differences):
-            if all(np.linalg.norm(points[i] - points[j]) >= CANDIDATES_APART for j in expected):
+            if all(np.linalg.norm(points[i] - points[j]) >= CANDIDATE_SPACING for j in expected):
                 expected.append(i)
         assert found[0] == expected[0]
         assert_array_equal(np.diff(differences[found]) >= 0, True)
@@ -123,7 +125,7 @@ def test_the_readme_table_has_the_aliasing_of_a_plan(name: str) -> None:
 
 def test_measuring_twice_gives_the_same() -> None:
     plan = load_floor_plan("generated:cycles=2,seed=1,aliasing=0.7")
-    assert_array_equal(perceptual_aliasing(plan).alike, perceptual_aliasing(plan).alike)
+    assert_array_equal(perceptual_aliasing(plan).aliased, perceptual_aliasing(plan).aliased)
 
 
 def test_the_dial_turns_what_is_measured() -> None:

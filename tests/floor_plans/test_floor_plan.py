@@ -225,7 +225,7 @@ def test_text_and_heading_of_a_written_plan_read_back_the_same(title: str, headi
 
 
 @pytest.mark.parametrize(
-    "title", ["Z\u00fcrich", "next\x85line", "a\u2028b\u2029c", "two\nlines", "\ufeff", "yes", "3", ": #"]
+    "title", ["Z\u00fcrich", "next\x85line", "a\u2028b\u2029c", "two\nlines", "\ufeff", "yes", "3", "1e3", ": #"]
 )
 def test_an_awkward_title_reads_back_the_same(title: str, tmp_path: Path) -> None:
     write_floor_plan(FloorPlan("square", Polygon(SQUARE), (1, 1, 0), title), tmp_path / "plan.yaml")
@@ -277,12 +277,6 @@ def test_a_corridor_ends_half_a_width_beyond_its_line() -> None:
 def test_a_line_that_ends_where_it_begins_is_a_loop() -> None:
     polygon = polygon_from_corridors([(2.0, [(0, 0), (20, 0), (20, 20), (0, 20), (0, 0)])])
     assert (polygon.bounds, polygon.area) == ((-1.0, -1.0, 21.0, 21.0), 22.0**2 - 18.0**2)
-
-
-@pytest.mark.parametrize(("side", "cycles"), [(9.9, 0), (10.0, 1)])
-def test_a_hole_is_a_cycle_from_forty_metres(side: float, cycles: int) -> None:
-    hole = [(20, 20), (20 + side, 20), (20 + side, 20 + side), (20, 20 + side)]
-    assert square_plan([hole]).cycles_total == cycles
 
 
 def test_an_anchor_lies_in_the_hole_of_its_cycle() -> None:
@@ -337,7 +331,7 @@ def test_a_start_in_a_pocket_is_refused() -> None:
 
 def test_a_room_behind_a_slit_is_refused() -> None:
     slit = polygon_from_corridors([(4.0, [(0, 0), (4, 0)]), (0.3, [(4, 0), (20, 0)]), (4.0, [(20, 0), (40, 0)])])
-    with pytest.raises(FloorPlanError, match=r"too narrow .* can't reach .* widen the way there or wall it off"):
+    with pytest.raises(FloorPlanError, match=r"too narrow .* can't reach .* widen the way there, .* smaller robot"):
         FloorPlan("p", slit, (30, 0, 0)).reachable(0.25)
 
 
@@ -347,25 +341,8 @@ def test_a_dead_end_too_narrow_is_refused() -> None:
         plan.reachable(0.25)
 
 
-def test_a_lap_too_narrow_is_refused() -> None:
-    hole = [(0.3, 5), (50, 5), (50, 50), (0.3, 50)]
-    with pytest.raises(FloorPlanError, match=r"too narrow .* around the cycle of 189 m alone; widen it near \(0\."):
-        square_plan([hole]).reachable(0.25)
-
-
-def test_two_cycles_that_share_one_lap_are_refused() -> None:
-    holes = [[(5, 5), (30, 5), (30, 55), (5, 55)], [(30.4, 5), (55, 5), (55, 55), (30.4, 55)]]
-    with pytest.raises(FloorPlanError, match=r"too narrow .* alone; widen it near \(30\.2, 30\.0\)"):
-        square_plan(holes).reachable(0.25)
-
-
-def test_a_hole_that_touches_the_outer_wall_is_refused() -> None:
-    with pytest.raises(FloorPlanError, match=r"too narrow .* drive around the cycle"):
-        square_plan([[(0, 30), (20, 20), (20, 40)]]).reachable(0.25)
-
-
 def test_a_robot_that_fits_nowhere_is_told_so() -> None:
-    with pytest.raises(FloorPlanError, match="fits nowhere; are the units metres"):
+    with pytest.raises(FloorPlanError, match="fits nowhere"):
         square_plan().reachable(40.0)
 
 

@@ -1,11 +1,10 @@
-"""Floor plans from names and YAML files, and what the reader says of mistakes."""
+"""Floor plans from names and YAML files, and messages for mistakes."""
 
 from __future__ import annotations
 
 import contextlib
 import re
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -63,62 +62,42 @@ OUTER = "exterior: [[0, 0], [60, 0], [60, 60], [0, 60]]\n"
 CORRIDOR = "corridors: [{width: 2, line: [[0, 1], [30, 1]]}]\n"
 
 MISTAKES = {
-    "empty file": ("", "mapping with some of the keys.*got nothing"),
+    "empty file": ("", "mapping with some of the keys.*got an empty file"),
     "list for a mapping": ("[1, 2]", "mapping with some of the keys.*got list"),
-    "text for a mapping": ("a wall", "mapping with some of the keys.*got str"),
     "invalid YAML": ("start: {x: 1", "not valid YAML"),
     "two documents": (START + "---\n" + OUTER, "not valid YAML.*single document"),
-    "control character": ("title: \x01", "not valid YAML"),
     "impossible date": ("title: 2024-13-45", "not valid YAML.*month"),
     "tag on the wrong kind": (OUTER + "start: !!map 3", "not valid YAML.*expected a mapping"),
     "Python object": ("title: !!python/object:os.system {}", "not valid YAML.*constructor"),
-    "key that is a list": ("? [a]\n: 1", "not valid YAML.*unhashable"),
     "nested too deeply": ("title: " + "[" * 50_000, "not valid YAML.*too deeply"),
     "endless list": (START + "exterior: &a [*a]", r"exterior\[0\]: expected a point \[x, y\]"),
     "number of 6,000 digits": ("start: {x: 0x" + "f" * 6000 + ", y: 1}\n" + OUTER, r"start\.x: expected a number"),
+    "map without an image": ("resolution: 0.05\norigin: [0, 0, 0]", "image: is missing; a map has"),
     "unknown key": (START + OUTER + "hole: []", "unknown key 'hole'.*Did you mean 'holes'"),
-    "key that is a number": (START + OUTER + "3: 4", "unknown key 3"),
-    "key given twice": (START + OUTER + START, "key 'start' stands twice at line 1"),
-    "inner key given twice": ("start: {x: 1, x: 2, y: 1}\n" + OUTER, "key 'x' stands twice"),
+    "key given twice": (START + OUTER + START, "key 'start' is given twice at line 1"),
     "no free space": (START, "either as `exterior`.* or as `corridors`"),
     "exterior and corridors": (START + OUTER + CORRIDOR, "either as `exterior`.* or as `corridors`"),
     "rooms with exterior": (START + OUTER + "rooms: []", "`rooms` go with `corridors`"),
     "holes with corridors": (START + CORRIDOR + "holes: []", "`holes` go with `exterior`"),
     "missing start": (OUTER, "start: expected a mapping with x, y"),
-    "start without y": ("start: {x: 1}\n" + OUTER, "start: expected a mapping with x, y"),
     "start with a z": ("start: {x: 1, y: 1, z: 1}\n" + OUTER, "start: expected a mapping with x, y"),
-    "start as a list": ("start: [1, 1]\n" + OUTER, "start: expected a mapping with x, y"),
-    "start in a wall": ("start: {x: 0, y: 0}\n" + OUTER, r"start \(0, 0\) is inside a wall.*for example \("),
     "start in a hole": (
         "start: {x: 15, y: 15}\n" + OUTER + "holes: [[[10, 10], [20, 10], [20, 20], [10, 20]]]",
-        r"start \(15, 15\) is inside a wall.*choose a point in free space",
+        r"start \(15, 15\) is inside a wall.*choose a point in free space, for example \(",
     ),
     "NaN": ("start: {x: .nan, y: 1}\n" + OUTER, r"start\.x: expected a number from .* got nan"),
-    "infinity": ("start: {x: 1, y: -.inf}\n" + OUTER, r"start\.y: expected a number from .* got -inf"),
     "bool": ("start: {x: yes, y: 1}\n" + OUTER, r"start\.x: expected a number from .* got True"),
     "text": ("start: {x: '1', y: 1}\n" + OUTER, r"start\.x: expected a number from .* got '1'"),
     "huge": ("start: {x: 1, y: 1, heading: 1.0e+300}\n" + OUTER, r"start\.heading: expected a number from"),
-    "NaN in a ring": (START + "exterior: [[0, 0], [9, .nan], [9, 9]]", r"exterior\[1\]\.y: expected a number from"),
     "point of three": (START + "exterior: [[0, 0, 0], [9, 0], [9, 9]]", r"exterior\[0\]: expected a point \[x, y\]"),
     "ring without points": (START + "exterior: null", "exterior: expected a list, got NoneType"),
     "ring of two points": (START + "exterior: [[0, 0], [9, 0], [0, 0]]", "exterior: a ring needs at least 3 different"),
-    "flat ring": (START + "exterior: [[0, 0], [5, 0], [9, 0]]", "exterior: the ring crosses or touches itself"),
     "crossing ring": (
         START + "exterior: [[0, 0], [9, 9], [9, 0], [0, 9]]",
         r"exterior: the ring crosses or touches itself.*4\.5 4\.5.*list its corners in order",
     ),
-    "holes no list": (START + OUTER + "holes: 0", "holes: expected a list, got int"),
-    "hole of one point": (START + OUTER + "holes: [[[5, 5], [5, 5], [5, 5]]]", r"holes\[0\]: a ring needs at least 3"),
-    "hole outside": (
-        START + OUTER + "holes: [[[70, 0], [90, 0], [90, 9]]]",
-        r"holes\[0\]: reaches out.*move it inside",
-    ),
     "hole across the wall": (START + OUTER + "holes: [[[50, 5], [90, 5], [90, 9]]]", r"holes\[0\]: reaches out"),
     "hole along the wall": (START + OUTER + "holes: [[[0, 20], [0, 40], [20, 30]]]", r"holes\[0\]: .* lies along it"),
-    "holes that overlap": (
-        START + OUTER + "holes: [[[10, 10], [30, 10], [20, 30]], [[12, 12], [32, 12], [22, 32]]]",
-        r"holes\[1\]: overlaps holes\[0\].*merge them",
-    ),
     "hole in a hole": (
         START + OUTER + "holes: [[[10, 10], [30, 10], [20, 30]], [[19, 15], [21, 15], [20, 17]]]",
         r"holes\[1\]: overlaps holes\[0\].*merge them",
@@ -132,7 +111,6 @@ MISTAKES = {
         START + "corridors: [3]",
         r"corridors\[0\]: expected a mapping with the keys width and line",
     ),
-    "corridors as a mapping": (START + "corridors: {width: 2}", "corridors: expected a list, got dict"),
     "negative width": (
         START + "corridors: [{width: -2, line: [[0, 0], [9, 0]]}]",
         r"corridors\[0\]\.width: expected more than 0, got -2",
@@ -145,20 +123,11 @@ MISTAKES = {
         START + "corridors: [{width: 2, line: [[0, 0], [0, 0]]}]",
         r"corridors\[0\]\.line: a centreline needs at least 2 different points",
     ),
-    "corridors apart": (
-        START + "corridors: [{width: 2, line: [[0, 1], [9, 1]]}, {width: 2, line: [[0, 20], [9, 20]]}]",
-        r"not connected: separate parts around \(4\.5, 1\.0\), \(4\.5, 20\.0\); join them",
-    ),
     "room apart": (START + CORRIDOR + "rooms: [[[3, 5], [6, 5], [6, 8], [3, 8]]]", "not connected.*join them"),
-    "crossing room": (
-        START + CORRIDOR + "rooms: [[[3, 0], [3, 9]], [[0, 0], [1, 1], [1, 0], [0, 1]]]",
-        r"rooms\[0\]: a ring needs at least 3 different points, got 2",
-    ),
     "centreline of one point": (
         START + OUTER + "centrelines: [[[1, 1]]]",
         r"centrelines\[0\]: a line needs at least 2",
     ),
-    "centrelines as a number": (START + OUTER + "centrelines: 3", "centrelines: expected a list, got int"),
     "title as a list": (START + OUTER + "title: [a]", "title: expected text, got"),
 }
 
@@ -185,21 +154,15 @@ def test_a_binary_file_is_told_from_yaml(tmp_path: Path) -> None:
     assert "plan.yaml: is not valid YAML" in error_of(path)
 
 
-def test_a_folder_is_no_plan(tmp_path: Path) -> None:
+def test_a_folder_is_no_plan_and_can_not_be_written(tmp_path: Path) -> None:
     assert "is a folder" in error_of(tmp_path)
-
-
-def test_a_folder_can_not_be_read(tmp_path: Path) -> None:
     with pytest.raises(FloorPlanError, match="is a folder or a device; expected a YAML file"):
         read_floor_plan(tmp_path)
-
-
-def test_a_folder_can_not_be_written(tmp_path: Path) -> None:
     with pytest.raises(FloorPlanError, match="can't be written: Is a directory"):
         write_floor_plan(square_plan(), tmp_path)
 
 
-def test_a_missing_file_is_told_with_the_names_that_are_known(tmp_path: Path) -> None:
+def test_a_missing_file_is_told_with_the_known_names(tmp_path: Path) -> None:
     assert re.search(r"no floor plan file .*gone\.yaml.*one of: chamfered", error_of(tmp_path / "gone.yaml"))
 
 
@@ -215,15 +178,10 @@ def test_an_odd_name_is_an_error_of_ours(name: str) -> None:
         load_floor_plan(name)
 
 
-@pytest.mark.parametrize("pool", [[], (), None, 3, {"ring"}])
-def test_a_pool_is_a_list_that_is_not_empty(pool: object) -> None:
-    with pytest.raises(FloorPlanError, match="not empty; got"):
+@pytest.mark.parametrize("pool", [[], None, 3, {"ring"}, ["ring", 3]])
+def test_a_pool_is_a_list_of_maps_that_is_not_empty(pool: object) -> None:
+    with pytest.raises(FloorPlanError, match="a map is a name, a path"):
         load_floor_plans(pool)  # pyright: ignore[reportArgumentType]
-
-
-def test_a_number_in_a_pool_is_no_map() -> None:
-    with pytest.raises(FloorPlanError, match="a map is a name, a path or a FloorPlan; got int"):
-        load_floor_plans(["ring", 3])  # pyright: ignore[reportArgumentType]
 
 
 JUNK = st.sampled_from(
@@ -265,24 +223,11 @@ def test_a_spoilt_plan_is_taken_or_refused_by_a_floor_plan_error(data: object) -
         floor_plan_from_mapping(data).reachable(0.25)
 
 
-@pytest.mark.parametrize("path", [None, 3, ["a.yaml"]])
-def test_a_file_is_named_by_a_path(path: Any) -> None:
-    with pytest.raises(FloorPlanError, match="the file of a floor plan is a path; got"):
-        read_floor_plan(path)
-    with pytest.raises(FloorPlanError, match="the file of a floor plan is a path; got"):
-        write_floor_plan(square_plan(), path)
-
-
-def test_only_a_floor_plan_is_written(tmp_path: Path) -> None:
-    plan: Any = None
-    with pytest.raises(FloorPlanError, match=r"plan\.yaml: what is to be written must be a FloorPlan; got NoneType"):
-        write_floor_plan(plan, tmp_path / "plan.yaml")
-    assert not (tmp_path / "plan.yaml").exists()
-
-
 def test_the_buildings_of_a_split_are_drawn_when_they_are_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
     drawn: list[str] = []
-    monkeypatch.setattr("cyclic_env.floor_plans.library.building_from_name", lambda name: drawn.append(name))
+    monkeypatch.setattr(
+        "cyclic_env.floor_plans.library.building_from_name", lambda name: drawn.append(name) or square_plan()
+    )
     pool = load_floor_plans(["ring", "generated:train"])
     assert (len(pool), list(pool.loaded), drawn) == (257, [0], [])
     assert pool.names[:2] == ["ring", "generated:train,index=0"]

@@ -14,19 +14,14 @@ from matplotlib.collections import LineCollection
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan
 from cyclic_env.rendering.figures import (
-    AREA_STYLES,
-    DISC,
     HEIGHT_MAX,
     WIDTH,
     add_legend,
     draw_claims,
-    draw_groups,
-    draw_open_areas,
     draw_path,
     plan_figure,
-    spread,
 )
-from cyclic_env.task.loop_closure import CLAIM
+from cyclic_env.task.path_history import CLAIM
 
 WAY = np.array([(2.0, 2.0, 0.0), (8.0, 2.0, 6.0), (8.0, 8.0, 12.0), (2.0, 8.0, 18.0), (2.0, 2.5, 23.5)])
 
@@ -77,7 +72,7 @@ def test_claims_are_told_apart_and_lead_to_the_places_they_named(axes: Axes) -> 
     claims = np.array([(1, 0, True, False), (2, -1, False, False), (3, 1, False, False), (4, 0, True, True)], CLAIM)
     draw_claims(axes, WAY, claims)
     assert labels(axes) == [
-        "right claim (1)",
+        "correct claim (1)",
         "false claim (2)",
         "closes a cycle (1)",
         "claim to match",
@@ -89,38 +84,9 @@ def test_claims_are_told_apart_and_lead_to_the_places_they_named(axes: Axes) -> 
     assert texts(axes) == ["1"]
 
 
-def test_groups_are_coloured_by_direction_and_long_ones_named(axes: Axes) -> None:
-    along = np.column_stack([np.linspace(2, 8, 7), np.full(7, 2.0)])
-    draw_groups(axes, [("E1", 1, along), ("N1", 0, along[:1]), ("E2", 1, along[:0]), ("E3", 1, along[:6])])
-    assert labels(axes) == ["northward", "eastward"]
-    assert texts(axes) == ["E1"]  # E3 would be written over it
-
-
-def test_open_areas_are_numbered_by_state(axes: Axes) -> None:
-    states = list(AREA_STYLES)
-    draw_open_areas(axes, np.array([(2.0, 2.0), (8.0, 2.0), (2.0, 8.0), (8.0, 8.0)]), [1, 2, 3, 4], states)
-    assert sorted(texts(axes)) == ["1", "2", "3", "4"]
-    assert set(labels(axes)) == {
-        "open area (1)",
-        "open area, visited (1)",
-        "open area, struck off (1)",
-        "open area, out of reach (1)",
-    }
-
-
 def test_nothing_to_draw_draws_nothing(axes: Axes) -> None:
     draw_claims(axes, WAY, np.zeros(0, CLAIM))
-    draw_groups(axes, [])
-    draw_open_areas(axes, np.zeros((0, 2)), [], [])
     assert labels(axes) == []
-
-
-def test_discs_are_moved_apart_and_lone_ones_stay() -> None:
-    places = np.array([(0.0, 0.0), (0.0, 0.0), (1.0, 0.0), (100.0, 50.0)])
-    moved = spread(places, DISC)
-    off = np.hypot(*(moved[:, None] - moved[None]).T)
-    assert off[np.triu_indices(4, 1)].min() > 0.99 * DISC
-    np.testing.assert_allclose(moved[3], places[3], atol=0.01)
 
 
 @pytest.mark.parametrize("name", ["ring", "killian_court"])

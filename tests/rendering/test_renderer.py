@@ -29,10 +29,16 @@ LAP = [(24.0, 0.0), (24.0, 14.0), (0.0, 14.0), (0.0, 0.0), (10.0, 0.0)]
 """Once around the ring, back to where a claim is right."""
 
 
+def begun(plan: Any, **settings: Any) -> CyclicLoopEnv:
+    """Return an environment that draws, after its reset."""
+    env = CyclicLoopEnv(plan, render_mode="rgb_array", **settings)
+    env.reset(seed=0)
+    return env
+
+
 @pytest.fixture
 def env() -> Iterator[CyclicLoopEnv]:
-    env = CyclicLoopEnv("ring", render_mode="rgb_array")
-    env.reset(seed=0)
+    env = begun("ring")
     yield env
     env.close()
 
@@ -73,16 +79,15 @@ def frame_of(env: CyclicLoopEnv) -> np.ndarray:
     return frame
 
 
-def count_near(frame: np.ndarray, colour: tuple[int, int, int], place: Any, radius: int = 5) -> int:
-    """Count the pixels of about that colour around a place (column, row)."""
+def count_near(frame: np.ndarray, color: tuple[int, int, int], place: Any, radius: int = 5) -> int:
+    """Count the pixels of about that color around a place (column, row)."""
     column, row = np.round(place).astype(int)
     part = frame[row - radius : row + radius + 1, column - radius : column + radius + 1].astype(int)
-    return int((np.abs(part - np.array(colour)).max(axis=-1) < 12).sum())
+    return int((np.abs(part - np.array(color)).max(axis=-1) < 12).sum())
 
 
 def test_frame_is_an_rgb_picture_with_even_sides_and_no_larger_than_a_screen(plan: FloorPlan) -> None:
-    env = CyclicLoopEnv(plan, render_mode="rgb_array")
-    env.reset(seed=0)
+    env = begun(plan)
     frame = frame_of(env)
     height, width, channels = frame.shape
     assert frame.dtype == np.uint8
@@ -141,14 +146,8 @@ def test_robot_is_drawn_where_it_is(env: CyclicLoopEnv) -> None:
     assert count_near(frame_of(env), AMBER, scene(env).view.pixels((info["x"], info["y"]))) > 20
 
 
-def test_two_frames_of_one_state_are_equal(env: CyclicLoopEnv) -> None:
-    forward(env, 10)
-    assert np.array_equal(frame_of(env), frame_of(env))
-
-
 def test_frame_does_not_depend_on_the_frames_before(env: CyclicLoopEnv) -> None:
-    other = CyclicLoopEnv("ring", render_mode="rgb_array")
-    other.reset(seed=0)
+    other = begun("ring")
     for _ in range(10):
         forward(env, 1)
         env.render()
@@ -160,12 +159,6 @@ def test_frames_share_no_memory(env: CyclicLoopEnv) -> None:
     first, second = frame_of(env), frame_of(env)
     first[:] = 0
     assert second.any()
-
-
-def test_frame_changes_when_the_robot_moves(env: CyclicLoopEnv) -> None:
-    before = frame_of(env)
-    forward(env, 5)
-    assert not np.array_equal(before, frame_of(env))
 
 
 def test_false_claim_is_red_where_it_was_made_long_after(env: CyclicLoopEnv) -> None:
@@ -180,8 +173,7 @@ def test_false_claim_is_red_where_it_was_made_long_after(env: CyclicLoopEnv) -> 
 
 
 def test_line_leads_from_a_false_claim_to_the_place_that_it_named() -> None:
-    env = CyclicLoopEnv("ring", render_mode="rgb_array")
-    env.reset(seed=0)
+    env = begun("ring")
     for x, y in LAP[:3]:
         drive_to(env, x, y)
     env.step([0.0, 0.0, 1.0, -1.0])
@@ -238,8 +230,7 @@ def test_render_before_the_first_reset_is_an_error() -> None:
 
 
 def test_missing_pygame_is_an_error_that_says_how_to_get_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    env = CyclicLoopEnv("ring", render_mode="rgb_array")
-    env.reset(seed=0)
+    env = begun("ring")
     monkeypatch.setitem(sys.modules, "pygame", None)
     for name in ("renderer", "scene", "primitives"):
         monkeypatch.delitem(sys.modules, f"cyclic_env.rendering.{name}", raising=False)

@@ -97,10 +97,10 @@ def test_ctrl_c_saves_and_resuming_goes_on(
 def test_ctrl_c_in_evaluate_keeps_the_agents_that_are_done(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(self: Any, laser: np.ndarray, memory: np.ndarray) -> np.ndarray:
+    def interrupted(self: Any, scan: np.ndarray) -> tuple[float, float]:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("agents.scripted.SpinningAgent._drive", interrupted)
+    monkeypatch.setattr("agents.scripted.SpinningAgent.drive", interrupted)
     file = tmp_path / "scores.json"
     rest = ["--map", "ring", "--episodes", "2", "--step-budget", "5", "--json", str(file)]
     assert evaluate_main(["spinning", *rest]) == 130

@@ -13,14 +13,14 @@ import shapely
 
 from cyclic_env import ConfigError, CyclicLoopEnv, Recorder, read_recording, replay
 from cyclic_env.rendering.colors import AMBER
-from cyclic_env.trajectory.io import dead_reckon
+from cyclic_env.trajectory.dead_reckoning import dead_reckon
 from scripts.game.game import Play, Show
 from tests.helpers import load_script
 
 pygame = pytest.importorskip("pygame")
 
-from cyclic_env.rendering.renderer import Window  # noqa: E402
-from scripts.game.view import STRIP, draw_play, play_size, play_view  # noqa: E402 (they need pygame)
+from cyclic_env.rendering.window import Window  # noqa: E402 (these need pygame)
+from scripts.game.view import STRIP, draw_play, play_size, play_view  # noqa: E402
 
 main = load_script("play").main
 
@@ -60,9 +60,7 @@ def drive_to(play: Play, x: float, y: float) -> None:
 
 def test_arrows_drive_and_turn_as_they_point() -> None:
     play = make()
-    x, y, heading = play.pose
-    drive(play, steps=3)
-    assert (play.pose == [x, y, heading]).all()
+    x, _, heading = play.pose
     drive(play, "forward", steps=10)
     assert play.pose[0] > x + 1.5
     drive(play, "left", steps=5)
@@ -83,6 +81,21 @@ def test_arrows_drive_and_turn_as_they_point() -> None:
     assert actions["left slow"] == pytest.approx([-0.06, 0.06])
 
 
+def test_the_clock_starts_with_the_first_key() -> None:
+    play = make()
+    drive(play, steps=3)
+    drive(play, "slow", steps=3)
+    play.claim()
+    play.tick()
+    assert (play.steps, play.started) == (0, False)
+    drive(play, "left")
+    drive(play, steps=2)
+    assert play.steps == 3
+    play.restart()
+    drive(play, steps=2)
+    assert play.steps == 0
+
+
 @pytest.mark.parametrize("show", ["truth", "robot"])
 def test_a_lap_and_a_claim_of_the_nearest_place_succeed(show: Show) -> None:
     play = make(show)
@@ -99,7 +112,7 @@ def test_a_lap_and_a_claim_of_the_nearest_place_succeed(show: Show) -> None:
     assert (play.info["cycles_closed"], play.info["false_claims"]) == (1, 0)
     assert play.core.claims()["match"].tolist() == [place]
     assert play.ended
-    assert play.message == "success: all seen, all cycles closed"
+    assert play.message == "success: everything seen, all cycles closed"
     steps = play.steps
     drive(play, "forward", steps=3)
     assert play.steps == steps
@@ -130,7 +143,7 @@ def test_the_robot_is_not_told_whether_its_claim_was_right() -> None:
     play.pick(play.positions[0])
     play.claim()
     play.tick()
-    assert play.message == f"claimed: here was step 0, {play.way[-1, 3]:.0f} m ago"
+    assert play.message == f"claimed: I was here at step 0, {play.track[-1, 3]:.0f} m ago"
 
 
 def test_the_robot_is_shown_where_dead_reckoning_puts_it() -> None:
@@ -139,7 +152,7 @@ def test_the_robot_is_shown_where_dead_reckoning_puts_it() -> None:
     drive(play, "forward", steps=15)
     assert isinstance(play.env, Recorder)
     kept = play.env.recording()
-    assert play.way[:, :3] == pytest.approx(dead_reckon(kept.distance, kept.compass, kept.poses[0, :2]), abs=1e-9)
+    assert play.track[:, :3] == pytest.approx(dead_reckon(kept.distance, kept.compass, kept.poses[0, :2]), abs=1e-9)
     assert math.hypot(play.pose[0] - play.info["x"], play.pose[1] - play.info["y"]) > 0.01
     assert len(play.cloud) > 100
 
@@ -160,7 +173,7 @@ def test_pause_stops_time_and_again_begins_a_new_recording(tmp_path: Path) -> No
     assert play.steps == 5
     play.pause()
     play.restart()
-    assert (play.steps, play.held, play.total) == (0, set(), 0.0)
+    assert (play.steps, play.held, play.episode_return) == (0, set(), 0.0)
     drive(play, "back", steps=3)
     recorder.close()
     assert [read_recording(tmp_path / name).steps for name in ("run.npz", "run-2.npz")] == [5, 3]
@@ -241,11 +254,11 @@ def test_keys_play_from_the_command_line_and_are_recorded(
     outcome = replay(path)
     assert outcome.equal
     kept = outcome.recording
-    assert (kept.steps, kept.noise, kept.seed) == (35, "typical", 2)
-    assert (kept.actions[1:20, 0] == 1).all()
-    assert (kept.actions[21:29, :2] == 0).all()
-    assert (kept.actions[:, 2] > 0).tolist() == [i == 25 for i in range(35)]
-    assert (kept.actions[31:, 0] > kept.actions[31:, 1]).all()
+    assert (kept.steps, kept.noise, kept.seed) == (34, "typical", 2)
+    assert (kept.actions[:20, 0] == 1).all()
+    assert (kept.actions[20:28, :2] == 0).all()
+    assert (kept.actions[:, 2] > 0).tolist() == [i == 24 for i in range(34)]
+    assert (kept.actions[30:, 0] > kept.actions[30:, 1]).all()
     assert len(kept.claims) == 1
     said = capsys.readouterr().out
     assert "false claims  " in said
@@ -253,7 +266,7 @@ def test_keys_play_from_the_command_line_and_are_recorded(
 
 
 def test_ctrl_c_keeps_the_recording(script: Callable[[dict[int, Any]], list[int]], tmp_path: Path) -> None:
-    script({7: KeyboardInterrupt})
+    script({1: [pygame.event.Event(pygame.KEYDOWN, key=pygame.K_w)], 8: KeyboardInterrupt})
     assert main(["--record", str(tmp_path / "run.npz"), "--show", "truth"]) == 130
     assert replay(tmp_path / "run.npz").equal
     assert read_recording(tmp_path / "run.npz").steps == 7
@@ -268,7 +281,9 @@ def test_closing_the_window_ends_and_keeps_the_recording(
     def close(self: Window, picture: Any) -> None:
         show(self, picture)
         shown.append(0)
-        if len(shown) == 4:
+        if len(shown) == 1:
+            pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=pygame.K_w))
+        if len(shown) == 5:
             pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=self._window))
 
     monkeypatch.setattr(Window, "show", close)
@@ -304,7 +319,7 @@ def test_no_display_gets_one_line(
     pygame.display.quit()
     assert main(["--record", str(tmp_path / "run.npz")]) == 2
     said = capsys.readouterr().err
-    assert said.startswith("play.py: there is no display to show a window on; a person can't play without one.")
+    assert said.startswith("play.py: there is no display to show a window on; you can't play without one.")
     assert said.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
 

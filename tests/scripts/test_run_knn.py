@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from agents.knn.explorer import KnnExplorer
+from agents.knn.policy import KnnPolicy
 from agents.slam.se2 import relative
 from cyclic_env import CyclicLoopEnv, replay
 from cyclic_env.evaluation.rollout import evaluate
@@ -45,7 +45,7 @@ def test_the_ring_is_seen_and_closed_without_a_false_claim(metrics: dict[str, An
 
 
 def test_metrics_are_those_of_the_same_run_by_hand(metrics: dict[str, Any]) -> None:
-    env, explorer = CyclicLoopEnv("ring"), KnnExplorer()
+    env, explorer = CyclicLoopEnv("ring"), KnnPolicy()
     observation, info = env.reset(seed=0)
     state, total, steps, ended = None, 0.0, 0, False
     while not ended:
@@ -58,8 +58,8 @@ def test_metrics_are_those_of_the_same_run_by_hand(metrics: dict[str, Any]) -> N
     assert (metrics["steps"], metrics["return"], metrics["map"]) == (steps, total, "ring")
     assert metrics["path_over_tour"] == info["path_length_m"] / env.floor_plan.closed_tour()
     assert metrics["groups"] == len(state[0].groups)
-    assert metrics["rows_compared"] == state[0].detector.compared
-    assert metrics["open_areas"] == len(state[0].areas.listed)
+    assert metrics["rows_compared"] == state[0].detector.vote.compared
+    assert metrics["open_areas"] == len(state[0].frontiers.listed)
     settings = ("noise", "preset", "detector", "measure", "seed", "random_start")
     assert [metrics[name] for name in settings] == ["ideal", "extended", "both", "cosine", 0, False]
     for name in ("env", "agent", "agent_median"):
@@ -155,22 +155,22 @@ def test_a_plan_without_centrelines_has_no_tour_to_compare_with(tmp_path: Path) 
 def test_an_explorer_with_nothing_left_to_explore_stands_for_the_rest_of_the_episode(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    predict = KnnExplorer.predict
+    predict = KnnPolicy.predict
 
-    def content(self: KnnExplorer, *arguments: Any, **named: Any) -> Any:
+    def content(self: KnnPolicy, *arguments: Any, **named: Any) -> Any:
         action, state = predict(self, *arguments, **named)
         if state[0].steps >= 10:
             state[0].done = True
-            state[0].pilot.drop()
+            state[0].planner.clear_goal()
         return action, state
 
-    monkeypatch.setattr(KnnExplorer, "predict", content)
+    monkeypatch.setattr(KnnPolicy, "predict", content)
     assert run_knn.main(["--map", "ring", "--no-gif", "--out", str(tmp_path)]) == 0
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert (metrics["stopped_at"], metrics["ending"]) == (10, "step budget spent")
     assert metrics["path_length_m"] < 3
     assert "nothing left to explore from step 10 on" in capsys.readouterr().out
-    (episode,) = evaluate(KnnExplorer(), map_name="ring", seeds=[0]).episodes
+    (episode,) = evaluate(KnnPolicy(), map_name="ring", seeds=[0]).episodes
     assert [metrics[name] for name in ("steps", "return")] == [episode["steps"], pytest.approx(episode["return"])]
     assert metrics["reward_terms"] == pytest.approx(episode["reward_terms"])
 
@@ -210,10 +210,10 @@ def test_files_are_written_though_nobody_reads_the_scores(tmp_path: Path) -> Non
 def test_ctrl_c_before_the_first_step_leaves_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupted(self: KnnExplorer, *_: Any) -> Any:
+    def interrupted(self: KnnPolicy, *_: Any) -> Any:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(KnnExplorer, "predict", interrupted)
+    monkeypatch.setattr(KnnPolicy, "predict", interrupted)
     assert run_knn.main(["--map", "ring", "--out", str(tmp_path)]) == 130
     assert capsys.readouterr().err.strip().endswith("nothing to keep.")
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from cyclic_env.config import LaserConfig
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.simulation.lidar import beam_directions, scan, scan_row
+from cyclic_env.simulation.lidar import laser_beams, scan, scan_row
 from cyclic_env.simulation.wall_index import TILE_SIZE, build_wall_index
 
 LASER = LaserConfig()
@@ -23,12 +23,12 @@ class Scanner:
     """The compiled laser in one plan."""
 
     def __init__(self, plan: FloorPlan, laser: LaserConfig = LASER) -> None:
-        self.tiles, self.directions = build_wall_index(plan, laser.range_max), beam_directions(laser)
+        self.tiles, self.beams = build_wall_index(plan, laser.range_max), laser_beams(laser)
         self.laser = laser
 
     def __call__(self, x: float, y: float, heading: float) -> np.ndarray:
         ranges, scratch = np.empty(self.laser.num_beams), np.empty(2 * self.laser.num_beams)
-        scan_row(self.tiles, 0, x, y, heading, self.directions, self.laser.range_max, scratch, ranges)
+        scan_row(self.tiles, 0, x, y, heading, self.beams, scratch, ranges)
         return ranges
 
 
@@ -133,6 +133,20 @@ def test_beam_zero_points_ahead_and_beams_go_counter_clockwise(square_room: Floo
     assert ranges[[0, 45, 90, 135]] == pytest.approx([5, 2, 5, 8])
 
 
+@pytest.mark.parametrize(("degrees", "mounting"), [(180, 0), (270, 0), (180, 90), (360, 180)])
+def test_beams_are_spread_over_the_field_of_view_around_the_mounting_angle(
+    degrees: int, mounting: int, plan: FloorPlan
+) -> None:
+    beams = degrees + (degrees < 360)  # one degree apart
+    laser = LaserConfig(num_beams=beams, field_of_view=math.radians(degrees), mounting_angle=math.radians(mounting))
+    first = mounting - (degrees // 2 if degrees < 360 else 0)
+    assert np.degrees(laser.bearings) == pytest.approx(first + np.arange(beams))
+    all_around = Scanner(plan, LaserConfig(num_beams=360))
+    for pose in random_poses(plan, 50, seed=3):
+        expected = all_around(*pose)[(first + np.arange(beams)) % 360]
+        np.testing.assert_allclose(Scanner(plan, laser)(*pose), expected, rtol=0, atol=1e-6)
+
+
 def test_a_beam_that_grazes_a_corner_stops_at_it() -> None:
     # A pillar's corner at (5, 5); the beam from (2, 2) at 45 degrees touches it and could go on to (8, 8).
     pillar = shapely.Polygon([(5, 5), (4, 7), (3, 6)])
@@ -153,8 +167,16 @@ def test_a_reach_shorter_than_the_room_reads_the_reach_everywhere(square_room: F
 
 
 @settings(max_examples=60, deadline=None)
-@given(st.integers(3, 12), st.integers(0, 10_000), st.sampled_from([4, 7, 180, 720]))
-def test_it_equals_its_twin_in_random_star_shaped_rooms(corners: int, seed: int, num_beams: int) -> None:
+@given(
+    st.integers(3, 12),
+    st.integers(0, 10_000),
+    st.sampled_from([4, 7, 180, 720]),
+    st.sampled_from([1, 90, 180, 270, 359, 360]),
+    st.sampled_from([0, 0, 90, -180, 37]),
+)
+def test_it_equals_its_twin_in_random_star_shaped_rooms(
+    corners: int, seed: int, num_beams: int, field_of_view: float, mounting: float
+) -> None:
     rng = np.random.default_rng(seed)
     angles = np.sort(rng.uniform(0, 2 * math.pi, corners)) + 1e-3 * np.arange(corners)
     if np.diff([*angles, angles[0] + 2 * math.pi]).max() > 3.0:  # the robot would not see all of it
@@ -162,6 +184,11 @@ def test_it_equals_its_twin_in_random_star_shaped_rooms(corners: int, seed: int,
     radii = rng.uniform(0.5, 15, corners)
     room = shapely.Polygon(np.column_stack([radii * np.cos(angles), radii * np.sin(angles)]))
     plan = FloorPlan("star", room, (0, 0, 0))
-    laser = LaserConfig(num_beams=num_beams, range_max=10.0)
+    laser = LaserConfig(
+        num_beams=num_beams,
+        range_max=10.0,
+        field_of_view=math.radians(field_of_view),
+        mounting_angle=math.radians(mounting),
+    )
     pose = np.array([0, 0, rng.uniform(-math.pi, math.pi)])
     np.testing.assert_allclose(Scanner(plan, laser)(*pose), scan(plan.walls, pose, laser), rtol=0, atol=1e-9)

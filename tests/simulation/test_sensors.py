@@ -48,7 +48,7 @@ def check_same(errors: np.ndarray, distribution: Any) -> None:
 
 def driven(noise: NoiseConfig, travels: np.ndarray, robots: int = RNGS) -> np.ndarray:
     """Return the readings `(steps, robots)` of distance meters on the same way, given by its signed steps."""
-    sensors = Sensors(noise, LASER, robots)
+    sensors = Sensors([noise], LASER, robots)
     rngs = [np.random.default_rng(seed) for seed in range(robots)]
     for row, rng in enumerate(rngs):
         sensors.reset_row(row, rng)
@@ -117,10 +117,10 @@ def test_the_distance_error_does_not_depend_on_the_length_of_a_step() -> None:
 
 def fields(places: np.ndarray, noise: NoiseConfig, robots: int = RNGS) -> np.ndarray:
     """Return the fields `(robots, places)`, degrees, that sensors have drawn for an episode."""
-    sensors = Sensors(noise, LASER, robots)
+    sensors = Sensors([noise], LASER, robots)
     for row in range(robots):
         sensors.reset_row(row, np.random.default_rng(row))
-    amplitude = sensors._field_amplitude
+    amplitude = sensors._terms["field_amplitude"][0]
     values = [[field_at(waves, amplitude, x, y) for x, y in places] for waves in sensors._field]
     return np.degrees(values)
 
@@ -213,7 +213,7 @@ def test_the_compass_field_is_fixed_to_the_building_and_new_in_the_next_episode(
 
 def readings_of(noise: NoiseConfig, true: np.ndarray, robots: int) -> np.ndarray:
     """Return readings `(robots, beams)` of the same true ranges `(beams,)`."""
-    sensors = Sensors(noise, LaserConfig(num_beams=len(true)), robots)
+    sensors = Sensors([noise], LaserConfig(num_beams=len(true)), robots)
     sensors.true_ranges[:] = true
     rngs = [np.random.default_rng(seed) for seed in range(robots)]
     for row, rng in enumerate(rngs):
@@ -331,3 +331,27 @@ def test_numbers_are_those_that_the_generators_own_methods_draw(noise: Any, monk
         runs[-1]["next"] = [rng.bit_generator.state for rng in env.np_random]
     assert all(FILLS)
     assert runs[0] == runs[1]
+
+
+# Several presets.
+
+
+def test_of_several_presets_every_reset_draws_one_for_each_robot() -> None:
+    """Ideal sensors read the true ranges, poor ones do not; both come about as often."""
+    env = CyclicLoopVectorEnv(40, "ring", noise=["ideal", "poor"])
+    env.reset(seed=0)
+    exact = (env.engine.sensors.ranges == env.engine.sensors.true_ranges).all(axis=1)
+    assert 10 < exact.sum() < 30
+    env.reset()
+    assert (exact != (env.engine.sensors.ranges == env.engine.sensors.true_ranges).all(axis=1)).any()
+    env.close()
+
+
+def test_a_list_of_one_preset_is_that_preset_to_the_bit() -> None:
+    scans = []
+    for noise in ("typical", ["typical"]):
+        env = CyclicLoopVectorEnv(2, "ring", noise=noise)
+        env.reset(seed=3)
+        scans.append([env.step(np.full((2, 4), 0.5, np.float32))[0]["laser"] for _ in range(5)])
+        env.close()
+    np.testing.assert_array_equal(*scans)

@@ -33,6 +33,7 @@ class Truth:
     """
 
     revisit: bool = False
+    fresh: bool = False
     claim_judged: bool = False
     claim_correct: bool = False
     claim_error_m: float = 0.0
@@ -136,10 +137,14 @@ class ClosureTwin:
         (ax, ay), (bx, by) = self.positions[t], self.positions[k]
         return (bx - ax) * (bx - ax) + (by - ay) * (by - ay)
 
+    def sees(self, t: int, k: int, walls: Sequence[Wall]) -> bool:
+        """Return whether p_k is in sight of p_t, or so near that it counts as that."""
+        given = self.square(t, k) < self.config.sight_given**2
+        return given or line_of_sight(walls, self.positions[t], self.positions[k])
+
     def same_place(self, t: int, k: int) -> bool:
         """Return whether p_t is within the radius and in sight of p_k."""
-        near = self.square(t, k) <= self.config.return_radius**2
-        return near and line_of_sight(self.walls, self.positions[t], self.positions[k])
+        return self.square(t, k) <= self.config.return_radius**2 and self.sees(t, k, self.walls)
 
     def came_back(self, t: int, k: int) -> bool:
         """Return whether the robot went far enough, and far enough away from p_t, between the steps k and t."""
@@ -161,7 +166,7 @@ class ClosureTwin:
         near = sorted((square, k) for square, k in squares if square <= radius**2)
         walls = walls_near(self.walls, here, radius)
         for _, k in near:
-            if self.lengths[t] - self.lengths[k] >= self.config.gap and line_of_sight(walls, here, self.positions[k]):
+            if self.lengths[t] - self.lengths[k] >= self.config.gap and self.sees(t, k, walls):
                 return k
         return None
 
@@ -210,9 +215,12 @@ class ClosureTwin:
         assert len(claims) == last_t
         now = Truth()
         judged_at = -math.inf
+        correct: list[int] = []
+        """Steps of the correct claims."""
         event: list[int] = []
-        """Revisit steps of the open event."""
-        recognised = False
+        """Fresh steps of the open event."""
+        counted: list[int] = []
+        """Steps of the settled events that count."""
         for t in range(1, last_t + 1):
             revisit = self.nearest(t) is not None
             now = replace(
@@ -225,23 +233,38 @@ class ClosureTwin:
                 missed=0,
                 new_cycle=0,
             )
-            goes_on = revisit and event and event[-1] == t - 1
+            fresh = revisit and self.is_new_ground(t, counted)
+            goes_on = fresh and bool(event) and event[-1] == t - 1
             if event and not goes_on and self.lengths[t] - self.lengths[event[-1]] >= self.config.event_gap:
-                now = self.settle(now, event, recognised)
-                event, recognised = [], False
-            if revisit:
+                now = self.settle(now, event, correct, counted)
+                event = []
+                fresh = revisit and self.is_new_ground(t, counted)
+            if fresh:
                 event.append(t)
-            now = self.judge(t, claims[t - 1], now, self.lengths[t] - judged_at)
+            now = replace(self.judge(t, claims[t - 1], now, self.lengths[t] - judged_at), fresh=fresh)
             if now.claim_judged:
                 judged_at = self.lengths[t]
-            recognised = recognised or now.claim_correct
+            if now.claim_correct:
+                correct.append(t)
             if ends and t == last_t and event:
-                now = self.settle(now, event, recognised)
+                now = self.settle(now, event, correct, counted)
             yield now
 
-    def settle(self, now: Truth, event: list[int], recognised: bool) -> Truth:
-        if self.lengths[event[-1]] - self.lengths[event[0]] < self.config.event_length_min:
+    def is_new_ground(self, t: int, counted: list[int]) -> bool:
+        """Return whether no step of a counted event is at the same place as step t."""
+        return not any(self.same_place(t, k) for k in counted)
+
+    def settle(self, now: Truth, event: list[int], correct: list[int], counted: list[int]) -> Truth:
+        """Return `now` with the event settled; where it counts, its steps are added to the counted ones."""
+        first, last = event[0], event[-1]
+        if self.lengths[last] - self.lengths[first] < self.config.event_length_min:
             return now
+        counted += range(first, last + 1)
+        within = any(first <= claim <= last for claim in correct)
+        before = any(
+            claim < first and self.lengths[first] - self.lengths[claim] < self.config.claim_spacing for claim in correct
+        )
+        recognised = within or before
         return replace(
             now,
             revisits=now.revisits + 1,

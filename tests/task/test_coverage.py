@@ -12,7 +12,7 @@ import shapely
 from cyclic_env import CyclicLoopEnv
 from cyclic_env.config import CoverageConfig, LaserConfig
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.simulation.lidar import beam_directions, scan
+from cyclic_env.simulation.lidar import laser_beams, scan
 from cyclic_env.task.coverage import build_coverage_grid, mark_scan, seen_cells
 
 LASER = LaserConfig()
@@ -54,7 +54,7 @@ def test_a_scan_marks_the_free_cells_that_its_beams_pass(plan: FloorPlan) -> Non
         grid.seen[:] = False
         ranges = scan(plan.walls, pose, LASER)
         count = mark_scan(
-            grid.grids[0], grid.cell_size, grid.number, grid.seen[0], *pose, beam_directions(LASER), ranges
+            grid.grids[0], grid.cell_size, grid.number, grid.seen[0], *pose, laser_beams(LASER).directions, ranges
         )
         picture = seen_cells(grid, 0, 0)
         expected = {cell for cell in cells_on_beams(plan, pose) if picture[cell] >= 0}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
 from typing import Any
@@ -20,19 +20,17 @@ from shapely.geometry import Polygon, box
 from cyclic_env.config import ACTION_TYPES, ActionType, ClosureConfig, RobotConfig
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names
+from cyclic_env.task.judgement import judge_trajectory
 from cyclic_env.task.loop_closure import (
     NEAREST,
     NO_CLAIM,
-    STATUS,
     advance,
-    allocate_memory,
     begin,
-    building_view,
     closure_rules,
     judge_claim,
-    robot_view,
     settle_event,
 )
+from cyclic_env.task.path_history import STATUS, allocate_memory, building_view, robot_view
 from tests.task.closure_twin import Claim, ClosureTwin, Position, Truth, line_of_sight, rank
 
 Sides = tuple[float, float, float, float]
@@ -69,14 +67,14 @@ LAP_STEPS = 320
 
 @njit  # not cached: numba's cache does not notice when the functions that are called here change
 def run_compiled(memory, rules, positions, claimed, ends, record):
-    path, ground = robot_view(memory, 0), building_view(memory, 0)
-    begin(path, ground, positions[0, 0], positions[0, 1])
+    robot, building = robot_view(memory, 0), building_view(memory, 0)
+    begin(robot, building, positions[0, 0], positions[0, 1])
     record[0] = memory.status[0]
     for t in range(1, positions.shape[0]):
-        advance(path, ground, rules, positions[t, 0], positions[t, 1])
-        judge_claim(path, ground, rules, claimed[t - 1])
+        advance(robot, building, rules, positions[t, 0], positions[t, 1])
+        judge_claim(robot, building, rules, claimed[t - 1])
         if ends and t == positions.shape[0] - 1:
-            settle_event(path.status, rules)
+            settle_event(robot, building, rules)
         record[t] = memory.status[0]
 
 
@@ -326,6 +324,78 @@ def test_open_event_does_not_settle_while_the_episode_runs():
     assert not compiled_truth(HALL, dipping_to(7.5, end=8.0), {}, ends=False)["missed_now"].any()
 
 
+# Ground counts once ---------------------------------------------------------------------------------------------------
+
+DETOUR_AT_5 = way((5, 5), (25, 5), (5, 5), (5, 12), (5, 5), (25, 5))
+"""There and back, a little way north until the event has settled that ends there, and there again."""
+
+
+def there_again(x: float) -> int:
+    return round((20 + 20 + 7 + 7 + x - 5) / STEP)
+
+
+@pytest.mark.parametrize("swings", [3, 4, 40])
+def test_driving_to_and_fro_in_a_corridor_makes_no_more_than_two_events(swings: int):
+    positions = way(*[(5, 5), (17, 5)] * swings)
+    record = compiled_truth(HALL, positions, dict.fromkeys(range(1, len(positions)), "nearest"))
+    assert record["revisits"][-1] <= 2
+    assert record["revisit"][-12 * 4 :].any()
+
+
+def test_third_lap_is_a_revisit_but_no_event():
+    record = compiled_truth(RING, way(*RING_LAP, *RING_LAP[1:], *RING_LAP[1:]), {3 * LAP_STEPS: "nearest"})
+    assert record["revisit"][-1]
+    assert record["revisits"][-1] == 1
+
+
+def test_event_begins_beyond_the_return_radius_of_the_counted_ground():
+    record = compiled_truth(HALL, DETOUR_AT_5, {})
+    assert not record["fresh"][there_again(5) : there_again(18) + 1].any()
+    assert record["fresh"][there_again(18.25) :].all()
+    assert record["revisits"][-1] == 2
+
+
+def test_ground_of_a_missed_event_counts_no_second_time():
+    last = compiled_truth(HALL, DETOUR_AT_5, {there_again(10): there(10)})[-1]
+    assert (last["claims"], last["false_claims"], last["recognised"]) == (1, 0, 0)
+
+
+def test_ground_of_an_event_too_short_to_count_stays_fresh():
+    positions = [*dipping_to(7.75), *way((25, 12), (25, 30), (25, 7), (25, 12))]
+    record = compiled_truth(HALL, positions, {})
+    second_dip = [t for t, (_, y) in enumerate(positions) if y <= 8 and t > DIP_BEGINS + 10]
+    assert not record["revisits"][DIP_BEGINS + 20]
+    assert record["fresh"][second_dip].all()
+
+
+@pytest.mark.parametrize(("plan", "fresh"), [(THIN_WALL, True), (HALL, False)])
+def test_counted_ground_behind_a_wall_is_other_ground(plan: FloorPlan, fresh: bool):
+    west = way((29, 14), (29, 2), (5, 2), (29, 2), (29, 14))
+    around_and_east = way((29, 14), (29, 18), (31.25, 18), (31.25, 2), (55, 2), (31.25, 2), (31.25, 12))
+    last = compiled_truth(plan, [*west, *around_and_east[1:]], {})[-1]
+    assert (last["revisit"], last["fresh"]) == (True, fresh)
+
+
+@pytest.mark.parametrize(("x", "recognised"), [(16.25, 0), (16.5, 1)])
+def test_correct_claim_less_than_two_metres_before_an_event_recognises_it(x: float, recognised: int):
+    record = compiled_truth(HALL, DETOUR_AT_5, {there_again(x): "nearest"})
+    assert record["claim_correct"][there_again(x)]
+    assert record["recognised"][-1] == recognised
+
+
+def test_false_claim_just_before_an_event_keeps_a_correct_one_in_it_from_being_judged():
+    claims = {DIP_BEGINS - 1: 0, **dict.fromkeys(range(DIP_BEGINS, DIP_BEGINS + 7), "nearest")}
+    last = compiled_truth(HALL, dipping_to(7.5), claims)[-1]
+    assert (last["claims"], last["revisits"], last["recognised"]) == (1, 1, 0)
+
+
+def test_event_settles_before_the_step_two_metres_later_is_judged():
+    positions = with_a_bump(9.0)
+    record = compiled_truth(HALL, positions, {})
+    back_down = [t for t, position in enumerate(positions) if position == (30, 8)][1]
+    assert (record["revisit"][back_down], record["fresh"][back_down], record["revisits"][back_down]) == (1, 0, 1)
+
+
 # Walls ----------------------------------------------------------------------------------------------------------------
 
 AROUND_THE_WALL = way((29, 2), (29, 18), (31.25, 18), (31.25, 2))
@@ -463,6 +533,7 @@ def test_memory_of_an_earlier_episode_is_forgotten():
 
 TWIN_FIELDS = {
     "revisit": "revisit",
+    "fresh": "fresh",
     "claim_judged": "claim_judged",
     "claim_correct": "claim_correct",
     "claims": "claims",
@@ -482,6 +553,7 @@ SMALL = ClosureConfig(
 RAW = ClosureConfig(
     return_radius=2.0, gap=8.0, leave_radius=3.0, event_gap=0.0, event_length_min=0.0, claim_spacing=0.0
 )
+THROUGH_WALLS = replace(SMALL, sight_given=0.75)
 
 
 def assert_twin_agrees(
@@ -548,7 +620,7 @@ kinds = st.lists(st.sampled_from(CLAIM_KINDS), min_size=1, max_size=7)
     ),
     legs=legs,
     kinds=kinds,
-    config=st.sampled_from([ClosureConfig(), SMALL, RAW]),
+    config=st.sampled_from([ClosureConfig(), SMALL, RAW, THROUGH_WALLS]),
     ends=st.booleans(),
 )
 def test_compiled_truth_equals_its_twin_on_random_walks(plan_start, legs, kinds, config, ends):
@@ -695,7 +767,9 @@ def claim_said(action_type: str, action: np.ndarray, t: int) -> Claim:
 
 
 @cache
-def drive(name: str, driver: str, action_type: ActionType, always_claim: bool = False) -> Drive:
+def drive(
+    name: str, driver: str, action_type: ActionType, always_claim: bool = False, step_budget: int | None = None
+) -> Drive:
     """Drive on a shipped plan until the budget is spent, or, always claiming at every step, until success."""
     plan, rng = load_floor_plan(name), np.random.default_rng(len(name))
     policy = DRIVERS[driver](plan, rng)
@@ -703,7 +777,7 @@ def drive(name: str, driver: str, action_type: ActionType, always_claim: bool = 
         name,
         action_type=action_type,
         robot=FAST_STEPS if driver == "tour" else RobotConfig(),
-        step_budget=STEPS[driver],
+        step_budget=step_budget or STEPS[driver],
         laser={"num_beams": 90, "range_max": 12.0 if always_claim else 0.3},  # too short to see all
     )
     _, info = env.reset(seed=0, options={"start": policy.start})
@@ -740,7 +814,7 @@ def test_truth_of_a_real_drive_equals_the_twin(name: str, driver: str, action_ty
     missed = 0
     for t, (truth, info) in enumerate(zip(twin.truths(done.claims), done.infos, strict=True), 1):
         for key in TWIN_FIELDS:
-            if key != "missed":
+            if key not in ("missed", "fresh"):
                 assert info[key] == getattr(truth, key), f"{key} differs first at step {t}"
         assert info["claim_error_m"] == pytest.approx(truth.claim_error_m, rel=0, abs=1e-9)
         missed += truth.missed
@@ -783,9 +857,21 @@ def test_path_length_is_the_sum_of_the_steps(name: str, driver: str, action_type
 
 
 def test_open_event_settles_when_the_budget_is_spent():
-    done = drive("ring", "to_and_fro", "wheels")
-    last, before = done.infos[-1], done.infos[-2]
+    infos = drive("ring", "to_and_fro", "wheels").infos
+    in_event = next(t for t, info in enumerate(infos, 1) if info["revisit"]) + 8
+    last, before = drive("ring", "to_and_fro", "wheels", step_budget=in_event).infos[:-3:-1]
     assert (last["revisit"], last["revisits"] - before["revisits"]) == (True, 1)
+
+
+@every_drive
+def test_claiming_rightly_at_every_chance_recognises_every_event(
+    name: str, driver: str, action_type: str, always_claim: bool
+):
+    done = drive(name, driver, action_type, always_claim)
+    revisits = np.flatnonzero(judge_trajectory(done.plan, done.positions).revisit)
+    judged = judge_trajectory(done.plan, done.positions, np.column_stack([revisits, np.full(len(revisits), NEAREST)]))
+    assert (judged.recall, judged.precision, judged.false_claims) == (1.0, 1.0, 0)
+    assert judged.revisits > 0 or driver != "tour" or always_claim  # then a lap of the ring is the end
 
 
 # Nothing but going round counts ---------------------------------------------------------------------------------------

@@ -11,10 +11,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from agents.slam.pose_graph import optimise
+from agents.slam.pose_graph import optimize
 from agents.slam.se2 import compose, relative
 from cyclic_env import ConfigError
-from cyclic_env.trajectory.io import align_rigid, ate, dead_reckon, write_g2o, write_tum
+from cyclic_env.trajectory.dead_reckoning import dead_reckon
+from cyclic_env.trajectory.io import write_g2o, write_tum
+from cyclic_env.trajectory.metrics import align_rigid, ate
 
 RNG = np.random.default_rng(0)
 
@@ -148,7 +150,7 @@ def test_the_file_holds_the_problem_whose_least_squares_the_explorer_takes(tmp_p
     first = np.column_stack([poses[:, :2] + RNG.normal(0, 0.1, (20, 2)) * (np.arange(20) > 0)[:, None], poses[:, 2]])
     ends, measured = np.array([edge[:2] for edge in edges]), np.array([edge[2] for edge in edges])
     weights = np.array([edge[3] for edge in edges])
-    best = optimise(first, ends, measured, weights, headings, np.full(20, 400.0))
+    best = optimize(first, ends, measured, weights, headings, np.full(20, 400.0))
     write_g2o(tmp_path / "a.g2o", best, edges, 400.0, headings)
 
     def cost(poses: np.ndarray) -> float:

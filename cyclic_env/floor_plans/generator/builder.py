@@ -1,12 +1,11 @@
-"""Buildings drawn from a seed: blocks on an irregular grid, corridors around them, dead ends, rooms and niches.
+"""Buildings generated from a seed: blocks on an irregular grid, corridors around them, dead ends, rooms and niches.
 
-One principle turns the dial `aliasing`: each choice that shapes a place (the width and the niches of a corridor, the
-spacing of the grid, the size of a room) is with that probability the building's standard one, and else drawn for that
-place alone. At 1 the same corridor, block and room stand everywhere, and places look alike; at 0 each is its own.
+The dial `aliasing` works by one principle. Each choice that shapes a place (the width and the niches of a corridor, the
+spacing of the grid, the size of a room) is with that probability the building's standard choice, and otherwise drawn
+for that place alone. At 1 the same corridor, block and room are everywhere, so places look alike; at 0 each is unique.
 
-All is drawn by ``random()`` of PCG64 alone, in an order that the specification fixes, and rounded to the centimetre
-before any geometry. So a specification is the same building in every process and on every machine, and stays so: what a
-`version` draws never changes.
+Everything is drawn by ``random()`` of PCG64 in an order that the specification fixes, and rounded to the centimetre
+before any geometry. The same specification is therefore the same building in every process, on every machine, for good.
 """
 
 from __future__ import annotations
@@ -14,8 +13,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -23,176 +20,51 @@ from shapely.geometry import LineString
 
 from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import RESOLUTION, FloorPlan
+from cyclic_env.floor_plans.generator.layout import (
+    MAX_SLOTS,
+    Box,
+    Corridor,
+    Module,
+    Node,
+    Point,
+    grow_edges,
+    grow_path,
+)
 from cyclic_env.floor_plans.generator.spec import BuildingSpec, Draw
 
 WALL = 0.5
-"""Metres of wall that stand at least between two parts of a building, other than where they are joined."""
-SLOT = 4.0
-"""Metres of a corridor's side, at least, that have one niche or none."""
-SLOTS_MAX = 16
-CLEAR_OF_CROSSING = 1.5
-"""Metres from a crossing, or from the end of a corridor, to the first slot."""
+"""Least thickness of the wall between two parts of a building, except where they are joined, metres."""
 WIDTH_MIN = 1.6
 SPACING, WIDTHS = (0.75, 1.4), (0.75, 1.3)
-"""Least and largest spacing of the grid, and width of a corridor, as shares of `size` and `width`."""
+"""Least and greatest spacing of the grid and width of a corridor, as shares of `size` and `width`."""
 CUT = (0.18, 0.25)
-"""How much of the shorter corridor a cut corner takes away, as a share of its length."""
+"""How much of the shorter corridor a cut corner removes, as a share of its length."""
 DOUBLE_BLOCKS = 0.4
-"""Share of the blocks that are two joined, where they are not the standard one."""
+"""Share of the blocks that are two joined into one, among those that are not the standard block."""
 SPUR = (0.3, 0.6)
 """Length of a dead end as a share of `size`."""
 SPUR_WALL = 1.0
-"""Metres of wall that stand at least around a dead end."""
+"""Least thickness of the wall around a dead end, metres."""
 TREE_CORRIDORS = 4
-TURNS = 0.7
-"""Stretches of corridor in a row where there is no cycle, and the share of the nodes between them that are turns."""
+"""Stretches of corridor in a building without cycles, dead ends aside."""
 NICHE_LENGTH, NICHE_DEPTH = (1.2, 4.5), (0.6, 1.8)
 PLAIN, PILLARED = 0.25, 0.85
-"""A slot's draw below the first leaves its wall plain; above the second its niche is large and has a pillar."""
+"""A slot with a random number below the first has a plain wall; above the second, a large niche with a pillar."""
 PILLAR, PILLARED_LENGTH, PILLARED_DEPTH = 0.5, 3.2, 1.6
-"""Metres: side of a pillar, and the least niche to have one, so that the robot passes behind it."""
+"""Side of a pillar, and the smallest niche with one, such that the robot passes behind it, metres."""
 DOOR_WIDTH, DOOR_DEPTH = (1.0, 1.5), 0.6
 ROOM_LENGTH, ROOM_DEPTH = (3.5, 6.5), (3.0, 5.5)
 
 
-Node = tuple[int, int]
-Edge = tuple[Node, Node]
-Point = tuple[float, float]
-Box = tuple[float, float, float, float]
-"""West, south, east and north, metres."""
-
-
-def grow_edges(draw: Draw, cycles: int, joined: int) -> list[Edge]:
-    """Return the edges of a grid that enclose that many faces, connected: squares, and `joined` of them made one more.
-
-    The squares grow one by one at a random side of those there are, and never enclose another. Then edges between two
-    faces go, those of the smallest faces first, and what hangs loose with them.
-    """
-    cells: list[Node] = [(0, 0)]
-    while len(cells) < cycles + joined:
-        beside = sorted({side for cell in cells for side in _neighbours(cell)} - set(cells))
-        beside = [cell for cell in beside if _faces(_sides([*cells, cell])) == len(cells) + 1]
-        cells.append(beside[draw.below(len(beside))])
-    edges = _sides(cells)
-    face = {cell: i for i, cell in enumerate(cells)}
-    for _ in range(joined):
-        between = [(edge, [face[cell] for cell in _beside(edge) if cell in face]) for edge in edges]
-        between = [(edge, pair) for edge, pair in between if len(set(pair)) == 2]
-        sizes = [sum(owner in pair for owner in face.values()) for _, pair in between]
-        smallest = [item for item, size in zip(between, sizes, strict=True) if size == min(sizes)]
-        edge, (first, second) = smallest[draw.below(len(smallest))]
-        edges.remove(edge)
-        face = {cell: first if owner == second else owner for cell, owner in face.items()}
-    return _without_stubs(edges)
-
-
-def grow_path(draw: Draw, count: int) -> list[Edge]:
-    """Return the edges of a path on a grid, which goes east or north, and mostly turns at a node."""
-    nodes, east = [(0, 0)], draw.chance(0.5)
-    for _ in range(count):
-        x, y = nodes[-1]
-        nodes.append((x + 1, y) if east else (x, y + 1))
-        east = east != draw.chance(TURNS)
-    return list(pairwise(nodes))
-
-
-def _neighbours(cell: Node) -> list[Node]:
-    x, y = cell
-    return [(x - 1, y), (x, y - 1), (x, y + 1), (x + 1, y)]
-
-
-def _sides(cells: Sequence[Node]) -> list[Edge]:
-    """Return the edges around all cells, sorted; cell (x, y) lies north-east of node (x, y)."""
-    return sorted(
-        {
-            edge
-            for x, y in cells
-            for edge in (
-                ((x, y), (x + 1, y)),
-                ((x, y + 1), (x + 1, y + 1)),
-                ((x, y), (x, y + 1)),
-                ((x + 1, y), (x + 1, y + 1)),
-            )
-        }
-    )
-
-
-def _beside(edge: Edge) -> tuple[Node, Node]:
-    """Return the cells on both sides of an edge."""
-    (x, y), (_, end) = edge
-    return ((x, y), (x, y - 1)) if end == y else ((x, y), (x - 1, y))
-
-
-def _faces(edges: Sequence[Edge]) -> int:
-    """Return how many faces the edges of a connected graph enclose, by Euler's formula."""
-    return len(edges) - len({node for edge in edges for node in edge}) + 1
-
-
-def _without_stubs(edges: list[Edge]) -> list[Edge]:
-    """Return the edges that don't lead to a node where nothing else goes on."""
-    while True:
-        nodes = [node for edge in edges for node in edge]
-        kept = [edge for edge in edges if all(nodes.count(node) > 1 for node in edge)]
-        if len(kept) == len(edges):
-            return kept
-        edges = kept
-
-
-class _Module(NamedTuple):
-    """What a stretch of corridor is like, whatever its length: its width in metres, and numbers from 0 to 1."""
-
-    width: float
-    niches: list[list[list[float]]]  # (2, SLOTS_MAX, 4): side and slot; kind, length, place, depth
-    room: list[float]  # side, place, length, depth, door
-
-
-class _Corridor(NamedTuple):
-    """A straight stretch of corridor: from `base` in the direction `along`, a unit vector along an axis."""
-
-    base: Point
-    along: Node
-    length: float
-    module: _Module
-    first: float  # where it can have rooms and niches: metres from the base
-    last: float
-
-    @property
-    def half(self) -> float:
-        """Half of the width, metres."""
-        return self.module.width / 2
-
-    def at(self, s: float, t: float = 0.0) -> Point:
-        """Return the point `s` metres along the corridor and `t` to its left, to the centimetre."""
-        (x, y), (dx, dy) = self.base, self.along
-        return round(x + s * dx - t * dy, 2), round(y + s * dy + t * dx, 2)
-
-    def box(self, s1: float, s2: float, t1: float, t2: float) -> Box:
-        """Return a rectangle along the corridor."""
-        (x1, y1), (x2, y2) = self.at(s1, t1), self.at(s2, t2)
-        return min(x1, x2), min(y1, y2), max(x1, x2), max(y1, y2)
-
-    def slots(self) -> list[tuple[float, float]]:
-        """Return where the slots of a side begin and end, metres along the corridor."""
-        first, last = self.first + CLEAR_OF_CROSSING, self.last - CLEAR_OF_CROSSING
-        count = min(math.floor(max(last - first, 0.0) / SLOT), SLOTS_MAX)
-        ends = [first + (last - first) * i / max(count, 1) for i in range(count + 1)]
-        return list(pairwise(ends))
-
-    def places(self) -> list[float]:
-        """Return where a dead end can branch off, metres along the corridor: one a metre."""
-        first, last = self.first + CLEAR_OF_CROSSING, self.last - CLEAR_OF_CROSSING
-        return [first + i for i in range(math.floor(max(last - first, 0.0)) + 1)]
-
-
 @lru_cache(maxsize=1024)
 def generate(spec: BuildingSpec, name: str = "") -> FloorPlan:
-    """Return the building of a specification, the same whenever it is asked for.
+    """Generate the building of a specification, always the same one.
 
     Parameters
     ----------
     spec : BuildingSpec
     name : str
-        Of the plan; by default the specification's own.
+        The plan's name; by default the specification's.
 
     Raises
     ------
@@ -203,16 +75,16 @@ def generate(spec: BuildingSpec, name: str = "") -> FloorPlan:
 
 
 class _Builder:
-    """A building as it grows: first the corridors, then what lies beside them, each part only where it has space."""
+    """A building in the making: first the corridors, then what lies beside them, each part only where it has space."""
 
     def __init__(self, spec: BuildingSpec) -> None:
         self.spec = spec
-        self.layout, self.decor = (Draw(spec.version, spec.seed, stream) for stream in (1, 2))
+        self.layout, self.decor = (Draw(spec.seed, stream) for stream in (1, 2))
         self.lines: list[tuple[Point, ...]] = []  # centrelines
-        self.taken: list[Box] = []  # around each part
+        self.taken: list[Box] = []  # bounding boxes of all parts
         self.free: list[Box] = []  # corridors and doors
-        self.beside: list[Box] = []  # rooms and niches, all of them apart
-        self.diagonals: list[tuple[float, list[Point]]] = []  # widths and lines of corridors around corners
+        self.beside: list[Box] = []  # rooms and niches, which don't touch each other
+        self.diagonals: list[tuple[float, list[Point]]] = []  # width and line of the corridors that cut corners
         self.pillars: list[Box] = []
         self.standard = self._own_module()._replace(width=2 * round(spec.width / 2, 2))
         self.standard_cut, self.standard_spur = self.layout.between(*CUT), self.layout.between(*SPUR)
@@ -225,13 +97,13 @@ class _Builder:
             self._lay_niches(corridor)
 
     def plan(self, name: str) -> FloorPlan:
-        """Return the floor plan."""
+        """Assemble the floor plan."""
         spec, start = self.spec, self.start
         around = [
             LineString(line).buffer(width / 2, cap_style="square", join_style="mitre") for width, line in self.diagonals
         ]
         space = shapely.union_all([*_boxes(self.free), *around])
-        # A union of two is much quicker than one of hundreds.
+        # A union of two shapes is much faster than one of hundreds.
         space = shapely.union(space, shapely.multipolygons(_boxes(self.beside)))
         space = shapely.difference(space, shapely.multipolygons(_boxes(self.pillars)))
         space = shapely.simplify(shapely.set_precision(space, RESOLUTION), RESOLUTION)
@@ -246,8 +118,8 @@ class _Builder:
             centrelines=tuple(self.lines),
         )
 
-    def _lay_halls(self) -> list[_Corridor]:
-        """Lay the corridors around the blocks, or those of a tree, and cut corners; return the straight ones."""
+    def _lay_halls(self) -> list[Corridor]:
+        """Lay the corridors around the blocks, or those of a tree, and cut corners; return the straight corridors."""
         spec, layout = self.spec, self.layout
         if spec.cycles:
             doubled = [not standard and double for standard, double in self._chances(DOUBLE_BLOCKS, spec.cycles)]
@@ -269,9 +141,9 @@ class _Builder:
         halls = []
         for (a, b), module, length in zip(edges, modules, lengths, strict=True):
             first, last = cuts.get(a, 0.0), length - cuts.get(b, 0.0)
-            hall = _Corridor((x[a[0]], y[a[1]]), (b[0] - a[0], b[1] - a[1]), length, module, first, last)
+            hall = Corridor((x[a[0]], y[a[1]]), (b[0] - a[0], b[1] - a[1]), length, module, first, last)
             halls.append(hall)
-            # It fills the corners that it makes with others, but ends where a diagonal begins.
+            # It fills its corners with other corridors, but ends where a diagonal begins.
             begin, end = first - hall.half * (a not in cuts), last + hall.half * (b not in cuts)
             self._take(hall.box(begin, end, -hall.half, hall.half), self.free)
             self.lines.append((hall.at(first), hall.at(last)))
@@ -280,8 +152,8 @@ class _Builder:
             self._lay_diagonal((x[i], y[j]), cut, [halls[k] for k in meeting])
         return halls
 
-    def _lay_diagonal(self, corner: Point, cut: float, halls: Sequence[_Corridor]) -> None:
-        """Lay the corridor between two halls around their corner, as wide as the wider one, from where they are cut."""
+    def _lay_diagonal(self, corner: Point, cut: float, halls: Sequence[Corridor]) -> None:
+        """Lay the corridor that cuts the corner of two halls, as wide as the wider one."""
         width = max(hall.module.width for hall in halls)
         legs = [[d if hall.base == corner else -d for d in hall.along] for hall in halls]
         near, far = (
@@ -290,7 +162,7 @@ class _Builder:
         )
         self.lines.append((near[0], near[1]))
         self.diagonals.append((width, [far[0], near[0], near[1], far[1]]))
-        # Its box ends where its outer wall meets a hall's, a mitre beyond the cut: from there on all is the hall's.
+        # Its bounding box ends where its outer wall meets that of a hall, a mitre beyond the cut.
         ahead = cut + math.tan(math.pi / 8) * width / 2
         (west, east), (south, north) = (
             sorted((at - side * width / 2, at + side * ahead))
@@ -299,7 +171,7 @@ class _Builder:
         self.taken.append((west, south, east, north))
 
     def _grid_lines(self, first: int, last: int) -> dict[int, float]:
-        """Return the coordinates, metres, of the grid's lines of those numbers."""
+        """Return the coordinates in metres of the grid's lines with those numbers."""
         size = self.spec.size
         lines = {first: 0.0}
         for i in range(first, last):
@@ -309,14 +181,14 @@ class _Builder:
         return lines
 
     def _chances(self, share: float, count: int) -> list[tuple[bool, bool]]:
-        """Return for each of some choices whether it is the standard one, and whether it falls into a share."""
+        """Return for `count` choices whether each is the standard one, and whether a chance of `share` comes true."""
         return [(self.layout.chance(self.spec.aliasing), self.layout.chance(share)) for _ in range(count)]
 
-    def _own_module(self) -> _Module:
+    def _own_module(self) -> Module:
         width = max(self.spec.width * (WIDTHS[0] + (WIDTHS[1] - WIDTHS[0]) * self.decor.shares(1)[0]), WIDTH_MIN)
-        return _Module(2 * round(width / 2, 2), self.decor.shares(2, SLOTS_MAX, 4), self.decor.shares(5))
+        return Module(2 * round(width / 2, 2), self.decor.shares(2, MAX_SLOTS, 4), self.decor.shares(5))
 
-    def _module(self) -> _Module:
+    def _module(self) -> Module:
         own = self._own_module()
         return self.standard if self.decor.chance(self.spec.aliasing) else own
 
@@ -324,8 +196,8 @@ class _Builder:
         kind.append(box)
         self.taken.append(box)
 
-    def _around(self, host: _Corridor, reach: float) -> list[Box]:
-        """Return the boxes of what there is within `reach` of a corridor, but for its own."""
+    def _around(self, host: Corridor, reach: float) -> list[Box]:
+        """Return the boxes of the parts within `reach` of a corridor, without those inside it."""
         west, south, east, north = host.box(-reach, host.length + reach, -reach, reach)
         own = host.half + 0.01
         left, bottom, right, top = host.box(-own, host.length + own, -own, own)
@@ -336,18 +208,18 @@ class _Builder:
             if w < left or s < bottom or e > right or n > top
         ]
 
-    def _lay_dead_ends(self, count: int) -> list[_Corridor]:
-        """Lay corridors that branch off halls and end blindly."""
+    def _lay_dead_ends(self, count: int) -> list[Corridor]:
+        """Lay corridors that branch off halls and end blindly, in a random order of the positions for them."""
         spec, layout, spurs = self.spec, self.layout, []
-        places = [(hall, s, side) for hall in self.halls for s in hall.places() for side in (1, -1)]
-        for hall, s, side in [places[i] for i in layout.order(len(places))]:
+        positions = [(hall, s, side) for hall in self.halls for s in hall.branch_positions() for side in (1, -1)]
+        for hall, s, side in [positions[i] for i in layout.order(len(positions))]:
             if len(spurs) == count:
                 break
             module, own = self._module(), layout.between(*SPUR)
             share = self.standard_spur if layout.chance(spec.aliasing) else own
             along = (-side * hall.along[1], side * hall.along[0])
             length = round(hall.half + share * spec.size, 2)
-            spur = _Corridor(hall.at(s), along, length, module, hall.half, length)
+            spur = Corridor(hall.at(s), along, length, module, hall.half, length)
             if _is_clear(
                 spur.box(hall.half, length, -spur.half, spur.half), SPUR_WALL, self._around(hall, length + SPUR_WALL)
             ):
@@ -357,12 +229,12 @@ class _Builder:
         if len(spurs) < count:
             fit = spec.dead_ends - count + len(spurs)
             raise FloorPlanError(
-                f"only {fit} of {spec.dead_ends} dead ends have space; ask for so many, or for more size."
+                f"only {fit} of {spec.dead_ends} dead ends have space; ask for fewer, or for a larger size."
             )
         return spurs
 
-    def _lay_room(self, corridor: _Corridor) -> None:
-        """Lay a room behind a door, if the corridor is to have one, at the first place that has space for it."""
+    def _lay_room(self, corridor: Corridor) -> None:
+        """Lay a room behind a door, if the corridor is to have one, at the first slot with space for it."""
         wanted = self.decor.chance(self.spec.rooms)
         side, place, length, depth, door = corridor.module.room
         slots = corridor.slots()
@@ -384,8 +256,8 @@ class _Builder:
                     self.free.append(corridor.box(middle - door / 2, middle + door / 2, 0.0, sign * inner))
                     return
 
-    def _lay_niches(self, corridor: _Corridor) -> None:
-        """Lay the niches on both sides of a corridor, some with a pillar, where there is space for them."""
+    def _lay_niches(self, corridor: Corridor) -> None:
+        """Lay the niches on both sides of a corridor, some with a pillar, where they have space."""
         around = self._around(corridor, corridor.half + NICHE_DEPTH[1] + WALL)
         for sign, shares in zip((1, -1), corridor.module.niches, strict=True):
             for (begin, end), (kind, length, place, depth) in zip(corridor.slots(), shares, strict=False):
@@ -414,7 +286,7 @@ def _boxes(boxes: Sequence[Box]) -> np.ndarray:
 
 
 def _is_clear(box: Box, wall: float, others: Sequence[Box]) -> bool:
-    """Tell whether there is at least so much wall between a box and all others."""
+    """Tell whether the wall between a box and each of the others is at least that thick."""
     west, south, east, north = box[0] - wall, box[1] - wall, box[2] + wall, box[3] + wall
     return not any(w < east and e > west and s < north and n > south for w, s, e, n in others)
 

@@ -1,4 +1,4 @@
-"""What a generated building is to be like, the splits of such buildings, and the random stream that draws them."""
+"""The specification of a generated building, the splits of such buildings, and the random stream that draws them."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from cyclic_env.errors import FloorPlanError, short_repr
+from cyclic_env.errors import FloorPlanError
+from cyclic_env.validation import short_repr
 
 PREFIX = "generated"
-"""A map's name that begins with this and a colon is a building to be generated."""
+"""A map's name that begins with this and a colon is that of a generated building."""
 
-VERSIONS = (1,)
 SEED_MAX = 2**32 - 1
 HAND_SEED_MAX = 999_999
-"""Largest seed that a name may give; those above belong to the splits."""
+"""Greatest seed that a name may give; those above belong to the splits."""
 
 RANGES: dict[str, tuple[float, float]] = {
     "cycles": (0, 12),
@@ -28,38 +28,36 @@ RANGES: dict[str, tuple[float, float]] = {
     "diagonal": (0.0, 1.0),
     "aliasing": (0.0, 1.0),
 }
-"""Least and largest value of each key; whole numbers where these are."""
+"""Least and greatest value of each key; keys with integer bounds take integers only."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildingSpec:
-    """What a generated building is like, checked when made; the keys of a name ``generated:key=value,...``.
+    """Specification of a generated building; its fields are the keys of a name ``generated:key=value,...``.
 
     Parameters
     ----------
     cycles : int
-        Cycles of the building, exactly: its blocks. Without any, it is a tree of corridors.
+        Exact number of cycles, each around a block. With 0, the building is a tree of corridors.
     seed : int
-        Of all that is drawn.
+        Seed of everything random.
     size : float
-        Metres between neighbouring parallel corridors; where that is not the standard, from 0.75 to 1.4 times so much.
+        Standard distance between parallel neighbouring corridors, metres; others are 0.75 to 1.4 times as far apart.
     width : float
-        Metres across a corridor; where that is not the standard, from 0.75 to 1.3 times so much, and at least 1.6 m.
+        Standard width of a corridor, metres; others are 0.75 to 1.3 times as wide, and at least 1.6 m.
     rooms : float
         Share of the stretches of corridor between crossings that have a room, where there is space for it.
     dead_ends : int
-        Corridors that end blindly, exactly.
+        Exact number of corridors that end blindly.
     diagonal : float
         Share of the corners that are cut by a corridor at 45 degrees.
     aliasing : float
-        Share of all choices that are the building's standard ones: 0, every corridor is its own; 1, all are alike.
-    version : int
-        Of the generator. What a version draws never changes.
+        Share of all choices that are the building's standard ones: at 0 every corridor is unique, at 1 all are alike.
 
     Raises
     ------
     FloorPlanError
-        If a value is out of range, or some do not go together.
+        If a value is out of range, or the values contradict each other.
     """
 
     cycles: int = 4
@@ -70,12 +68,8 @@ class BuildingSpec:
     dead_ends: int = 2
     diagonal: float = 0.0
     aliasing: float = 0.0
-    version: int = 1
 
     def __post_init__(self) -> None:
-        if self.version not in VERSIONS:
-            known = ", ".join(map(str, VERSIONS))
-            raise FloorPlanError(f"version is {short_repr(self.version)}; this generator knows version {known}.")
         for key, (least, most) in RANGES.items():
             value = getattr(self, key)
             whole = isinstance(most, int)
@@ -96,36 +90,36 @@ class BuildingSpec:
 
     @property
     def spacing_min(self) -> float:
-        """Metres between parallel corridors at least, so that a block's ring is longer than 40 m.
+        """Least distance between parallel corridors for a block's ring to be longer than 40 m, metres.
 
-        The ring of a square block of spacing p, its corridors as wide as may be and all its corners cut, is at least
-        ``4 (p - 1.3 width) - 4 (2 - sqrt(2)) p / 4``.
+        The ring of a square block between corridors p apart, as wide as they get and with all corners cut, is at least
+        ``4 (p - 1.3 width) - 4 (2 - sqrt(2)) p / 4`` long.
         """
         return 12.0 + 1.6 * self.width
 
     @property
     def name(self) -> str:
-        """The map's name: `cycles` and `seed`, and the other keys that are not at their defaults, in order."""
+        """The map's name: `cycles`, `seed`, and the keys that differ from their defaults, in order."""
         keys = [f.name for f in fields(self) if f.name in ("cycles", "seed") or getattr(self, f.name) != f.default]
         values = (np.format_float_positional(getattr(self, key), trim="-") for key in keys)
         return f"{PREFIX}:" + ",".join(f"{key}={value}" for key, value in zip(keys, values, strict=True))
 
 
 class Split(NamedTuple):
-    """A set of buildings with a name: their number, and the seed of the first."""
+    """A named set of buildings: their number and the seed of the first."""
 
     plans: int
     first_seed: int
 
 
 SPLITS = {"train": Split(256, 1_000_000), "validation": Split(64, 2_000_000), "test": Split(200, 3_000_000)}
-"""Buildings to learn from, to choose by, and to report on; the last must never be used to tune anything."""
+"""Buildings to train on, to choose settings with, and to report results on; nothing may be tuned on the last."""
 
 
 def split_spec(split: str, index: int) -> BuildingSpec:
-    """Return what building `index` of a split is like, drawn from its seed over the ranges of the benchmark."""
+    """Return the specification of building `index` of a split, drawn from its seed over the ranges of the benchmark."""
     seed = SPLITS[split].first_seed + index
-    draw = Draw(1, seed, 0)
+    draw = Draw(seed, 0)
     return BuildingSpec(
         seed=seed,
         cycles=1 + draw.below(8),
@@ -139,17 +133,17 @@ def split_spec(split: str, index: int) -> BuildingSpec:
 
 
 class Draw:
-    """Random choices of one stream, by ``random()`` alone: what it yields for a seed has never changed in NumPy."""
+    """Random choices of one stream, made by ``random()`` alone, whose output for a seed has never changed in NumPy."""
 
-    def __init__(self, version: int, seed: int, stream: int) -> None:
-        self._random = np.random.Generator(np.random.PCG64(np.random.SeedSequence((version, seed, stream)))).random
+    def __init__(self, seed: int, stream: int) -> None:
+        self._random = np.random.Generator(np.random.PCG64(np.random.SeedSequence((1, seed, stream)))).random
 
     def below(self, count: int) -> int:
         """Return a whole number from 0 to count - 1."""
         return int(self._random() * count)
 
     def between(self, low: float, high: float) -> float:
-        """Return a number to two places: metres to the centimetre, shares to the percent."""
+        """Return a number rounded to two decimals: metres to the centimetre, shares to the percent."""
         return round(low + (high - low) * self._random(), 2)
 
     def chance(self, share: float) -> bool:
@@ -157,7 +151,7 @@ class Draw:
         return self._random() < share
 
     def shares(self, *shape: int) -> list[Any]:
-        """Return numbers from 0 to 1, in nested lists of that shape."""
+        """Return numbers from 0 to 1 in nested lists of that shape."""
         return self._random(shape).tolist()
 
     def order(self, count: int) -> list[int]:

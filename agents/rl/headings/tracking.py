@@ -1,0 +1,261 @@
+"""Where each robot is and where it has been: dead reckoning, held by matching each keyframe with the last one.
+
+It does what `agents.slam.tracker.PoseTracker` does, with the same kernels, for many robots at once in compiled code;
+in place of the pose graph, the error that a match shows is spread evenly over the loop.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from agents.settings import pack
+from agents.slam.scan_matching import (
+    Estimate,
+    MatcherConfig,
+    MatcherValues,
+    Prior,
+    Reference,
+    align,
+    compare_endpoints,
+    fit_wall_lines,
+)
+from agents.slam.tracker import TrackerConfig
+from cyclic_env.jit import compiled
+
+MATCHER = pack(MatcherValues, MatcherConfig())
+LAG, TURN_ERROR = TrackerConfig().bias_gain, TrackerConfig().heading_std
+"""As in the explorer."""
+KEYFRAME_SPACING = 1.0
+"""Metres between two keyframes."""
+CAPACITY = 128
+"""Keyframes of each robot that there is room for at first."""
+STEP_SPREAD = (0.05, 0.05, math.radians(4))
+"""Standard deviations of dead reckoning from one keyframe to the next, metres, metres and radians."""
+RATIO_MIN, INLIERS_MIN, ERROR_MAX = 0.75, 0.22, 1.0
+"""A match with the last keyframe counts from this inlier ratio and share of all beams on, up to so many metres."""
+MEMORY = 30
+"""Keyframes over which the mean inlier ratio and the compass's variance are taken."""
+REDRAW = 0.5
+"""Metres by which mends have moved the track before the map is drawn anew."""
+
+ROBOT = np.dtype(
+    [
+        ("x", "f8"),  # in the frame of the track, which begins at (0, 0) with the compass's heading
+        ("y", "f8"),
+        ("heading", "f8"),
+        ("compass", "f8"),  # last readings, and of the compass the bias, as the scans have it
+        ("distance", "f8"),
+        ("bias", "f8"),
+        ("compass_variance", "f8"),  # of its turns from keyframe to keyframe
+        ("inlier_ratio", "f8"),  # mean of the matches with the last keyframe
+        ("path", "f8"),
+        ("advance", "f8"),  # metres driven in the last decision
+        ("claim_path", "f8"),  # path at the last claim
+        ("target", "f8"),  # heading to drive to, in the frame of the track
+        ("shift_x", "f8"),  # correction that the last good match called for, and at which path
+        ("shift_y", "f8"),
+        ("shift_path", "f8"),
+        ("strain", "f8"),  # metres by which the track was mended since the map was drawn anew
+        ("steps", "i8"),
+        ("decisions", "i8"),
+        ("keyframes", "i8"),
+        ("anchor", "i8"),  # keyframe at which the track was mended last
+        ("begun", "?"),
+    ]
+)
+"""What is known of one robot."""
+
+
+class Keyframes(NamedTuple):
+    """The keyframes of N robots, with room for K each; scans have the B beams that are matched."""
+
+    pose: np.ndarray  # (N, K, 3)
+    path: np.ndarray  # (N, K)
+    compass: np.ndarray  # (N, K)
+    step: np.ndarray  # (N, K)
+    decision: np.ndarray  # (N, K)
+    scan: np.ndarray  # (N, K, B) float32
+    lines: np.ndarray  # (N, K, B, 3) float32
+
+
+class MatchScratch(NamedTuple):
+    """Working memory of one thread: a scan and its reliable endpoints, the reference, and the equations."""
+
+    scan: np.ndarray
+    endpoints: np.ndarray
+    reference: np.ndarray
+    lines: np.ndarray
+    prior: np.ndarray
+    spread: np.ndarray
+    pose: np.ndarray
+    inverse: np.ndarray
+    hessian: np.ndarray
+    gradient: np.ndarray
+
+
+def allocate_keyframes(robots: int, beams: int) -> Keyframes:
+    """Return room for the first keyframes of N robots."""
+    return Keyframes(
+        pose=np.zeros((robots, CAPACITY, 3)),
+        path=np.zeros((robots, CAPACITY)),
+        compass=np.zeros((robots, CAPACITY)),
+        step=np.zeros((robots, CAPACITY), np.int64),
+        decision=np.zeros((robots, CAPACITY), np.int64),
+        scan=np.zeros((robots, CAPACITY, beams), np.float32),
+        lines=np.zeros((robots, CAPACITY, beams, 3), np.float32),
+    )
+
+
+def enlarged(keyframes: Keyframes) -> Keyframes:
+    """Return the keyframes with twice the room."""
+    return Keyframes(*(np.concatenate([column, np.zeros_like(column)], axis=1) for column in keyframes))
+
+
+def allocate_match_scratch(beams: int) -> MatchScratch:
+    """Return the working memory of one thread."""
+    return MatchScratch(
+        scan=np.zeros(beams),
+        endpoints=np.zeros(beams),
+        reference=np.zeros(beams),
+        lines=np.zeros((beams, 3)),
+        prior=np.zeros(3),
+        spread=np.zeros(3),
+        pose=np.zeros(3),
+        inverse=np.zeros(3),
+        hessian=np.zeros((3, 3)),
+        gradient=np.zeros(3),
+    )
+
+
+@compiled
+def wrap(angle):
+    """Return the angle in [-pi, pi) that differs from `angle` by whole turns."""
+    return angle - 2 * math.pi * math.floor((angle + math.pi) / (2 * math.pi))
+
+
+@compiled
+def dead_reckon(robot, distance, east, north):
+    """Move a robot by a reading of the distance meter and the compass; the first one begins its track."""
+    heading = math.atan2(north, east)
+    if robot.begun:
+        driven = distance - robot.distance
+        # An arc's chord points midway between the headings of its ends.
+        chord = robot.compass + 0.5 * wrap(heading - robot.compass) + robot.bias
+        robot.x += driven * math.cos(chord)
+        robot.y += driven * math.sin(chord)
+        robot.path += abs(driven)
+        robot.advance += driven
+        robot.steps += 1
+    robot.begun = True
+    robot.distance = distance
+    robot.compass = heading
+    robot.heading = wrap(heading + robot.bias)
+
+
+@compiled
+def match_keyframe(keyframes, i, k, scratch, range_max):
+    """Match the scan in `scratch` with keyframe k of robot i, from the prior there, in the keyframe's frame.
+
+    Returns
+    -------
+    inlier_ratio : float
+        The less of both ways round.
+    inliers : float
+        Share of all beams.
+    eigenvalue : float
+        How many endpoints, as a share of all beams, speak for the position in the direction that is known least.
+    """
+    n = scratch.scan.shape[0]
+    for b in range(n):
+        scratch.reference[b] = keyframes.scan[i, k, b]
+        for c in range(3):
+            scratch.lines[b, c] = keyframes.lines[i, k, b, c]
+    pose, hessian = scratch.pose, scratch.hessian
+    reference, prior = Reference(scratch.reference, scratch.lines), Prior(scratch.prior, scratch.spread)
+    align(reference, scratch.endpoints, range_max, prior, Estimate(pose, hessian, scratch.gradient), MATCHER)
+    there, seen_there = compare_endpoints(scratch.reference, scratch.scan, range_max, pose, MATCHER.tolerance)
+    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+    scratch.inverse[0] = -cos * pose[0] - sin * pose[1]
+    scratch.inverse[1] = sin * pose[0] - cos * pose[1]
+    scratch.inverse[2] = -pose[2]
+    back, seen_back = compare_endpoints(scratch.scan, scratch.reference, range_max, scratch.inverse, MATCHER.tolerance)
+    middle = 0.5 * (hessian[0, 0] + hessian[1, 1])
+    eigenvalue = middle - math.sqrt(0.25 * (hessian[0, 0] - hessian[1, 1]) ** 2 + hessian[0, 1] ** 2)
+    return min(there, back), min(seen_there, seen_back) / n, eigenvalue / n
+
+
+@compiled
+def set_prior(robot, x, y, heading, scratch):
+    """Take, as the prior of a match, the robot's pose in the frame of the pose (x, y, heading)."""
+    cos, sin = math.cos(heading), math.sin(heading)
+    dx, dy = robot.x - x, robot.y - y
+    scratch.prior[0] = cos * dx + sin * dy
+    scratch.prior[1] = cos * dy - sin * dx
+    scratch.prior[2] = wrap(robot.heading - heading)
+
+
+@compiled
+def localize(robot, keyframes, i, scratch, range_max):
+    """Correct the robot's pose by a match of its scan with the last keyframe."""
+    k = robot.keyframes - 1
+    x, y, heading = keyframes.pose[i, k, 0], keyframes.pose[i, k, 1], keyframes.pose[i, k, 2]
+    set_prior(robot, x, y, heading, scratch)
+    for c in range(3):
+        scratch.spread[c] = STEP_SPREAD[c]
+    ratio, inliers, _ = match_keyframe(keyframes, i, k, scratch, range_max)
+    pose, prior = scratch.pose, scratch.prior
+    robot.inlier_ratio += (ratio - robot.inlier_ratio) / min(MEMORY, k + 1)
+    error = math.sqrt((pose[0] - prior[0]) ** 2 + (pose[1] - prior[1]) ** 2)
+    if ratio <= RATIO_MIN or inliers <= INLIERS_MIN or error >= ERROR_MAX:
+        return
+    turn_error = wrap(robot.compass - keyframes.compass[i, k] - pose[2])
+    robot.compass_variance += (turn_error**2 - robot.compass_variance) / min(MEMORY, k + 1)
+    cos, sin = math.cos(heading), math.sin(heading)
+    robot.x, robot.y = x + cos * pose[0] - sin * pose[1], y + sin * pose[0] + cos * pose[1]
+    # The compass has no drift, the scans' headings drift but little: a Kalman gain holds them together.
+    gain = TURN_ERROR**2 / (TURN_ERROR**2 + robot.compass_variance)
+    matched = heading + pose[2]
+    matched += gain * wrap(robot.compass - matched)
+    robot.bias = wrap(robot.bias + LAG * wrap(matched - robot.heading))
+    robot.heading = wrap(matched)
+
+
+@compiled
+def add_keyframe(robot, keyframes, i, scratch, range_max):
+    """Add a keyframe with the scan in `scratch` at the robot's pose."""
+    k = robot.keyframes
+    keyframes.pose[i, k, 0], keyframes.pose[i, k, 1], keyframes.pose[i, k, 2] = robot.x, robot.y, robot.heading
+    keyframes.path[i, k] = robot.path
+    keyframes.compass[i, k] = robot.compass
+    keyframes.step[i, k] = robot.steps
+    keyframes.decision[i, k] = robot.decisions
+    fit_wall_lines(scratch.endpoints, range_max, scratch.lines, MATCHER)
+    for b in range(scratch.scan.shape[0]):
+        keyframes.scan[i, k, b] = scratch.scan[b]
+        for c in range(3):
+            keyframes.lines[i, k, b, c] = scratch.lines[b, c]
+    robot.keyframes += 1
+
+
+@compiled
+def mend(robot, keyframes, i, k, x, y, heading):
+    """Move the robot to a pose that a match with keyframe k says, and spread its error over the way since then.
+
+    What was mended by an earlier match stays where it is.
+    """
+    dx, dy, turn = x - robot.x, y - robot.y, wrap(heading - robot.heading)
+    first = max(k, robot.anchor)
+    begin = keyframes.path[i, first]
+    length = max(robot.path - begin, 1e-6)
+    for j in range(first + 1, robot.keyframes):
+        share = (keyframes.path[i, j] - begin) / length
+        keyframes.pose[i, j, 0] += share * dx
+        keyframes.pose[i, j, 1] += share * dy
+        keyframes.pose[i, j, 2] = wrap(keyframes.pose[i, j, 2] + share * turn)
+    robot.x, robot.y, robot.heading = x, y, wrap(heading)
+    robot.bias = wrap(robot.bias + turn)
+    robot.anchor = robot.keyframes - 1
+    robot.strain += math.sqrt(dx * dx + dy * dy)

@@ -1,0 +1,44 @@
+"""Score a model on buildings that it is not trained on, one episode of each row: long ones count as short ones."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import VectorEnv
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+
+def first_episodes(model: BaseAlgorithm, env: VectorEnv, seed: int) -> list[dict[str, Any]]:
+    """Run one episode in each row, by the model's most likely actions.
+
+    Parameters
+    ----------
+    model : BaseAlgorithm
+    env : VectorEnv
+        Of a task of ours, with autoreset mode ``DISABLED``.
+    seed : int
+
+    Returns
+    -------
+    list of dict
+        Of each row the scalars of its last info, and its ``return``.
+    """
+    observation, _ = env.reset(seed=seed)
+    active = np.ones(env.num_envs, np.bool_)
+    returns = np.zeros(env.num_envs)
+    records: list[dict[str, Any]] = [{} for _ in range(env.num_envs)]
+    while active.any():
+        rows = np.flatnonzero(active)
+        masks = {"action_masks": env.action_masks()[rows]} if hasattr(env, "action_masks") else {}  # pyright: ignore[reportAttributeAccessIssue]
+        features = {name: value[rows] for name, value in observation.items()}
+        choices, _ = model.predict(features, deterministic=True, **masks)
+        actions = np.zeros(env.action_space.shape, env.action_space.dtype)  # pyright: ignore[reportCallIssue, reportArgumentType]
+        actions[rows] = choices
+        observation, rewards, terminated, truncated, infos = env.step(actions, active=active)  # pyright: ignore[reportCallIssue]
+        returns += rewards
+        for row in np.flatnonzero(active & (terminated | truncated)):
+            scalars = {name: values[row].item() for name, values in infos.items() if isinstance(values, np.ndarray)}
+            records[row] = {**scalars, "return": float(returns[row])}
+            active[row] = False
+    return records

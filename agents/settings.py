@@ -1,0 +1,43 @@
+"""Settings of the components of an agent: frozen, checked when they are made, and packed for the compiled kernels."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+from dataclasses import astuple, dataclass, fields
+from typing import Any
+
+from cyclic_env.validation import check_integer, check_number
+
+MOST = 10_000
+"""Of a whole number."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComponentConfig:
+    """Tuned numbers of one component; lengths in metres, angles in radians, times in seconds.
+
+    Raises
+    ------
+    ConfigError
+        If a value isn't a finite number of at least 0, or not a whole number where the default is one.
+    """
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            if isinstance(field.default, int):
+                check_integer(self, field.name, 0, MOST)
+            else:
+                check_number(self, field.name, 0.0)
+
+
+def kernel_tuple(name: str, config: type[ComponentConfig], module: str) -> Any:
+    """Return a named-tuple class with the fields of a config, in which compiled kernels take its values.
+
+    Assign it to the module-level `name` in `module`: the cache of compiled kernels looks for it there.
+    """
+    return namedtuple(name, [field.name for field in fields(config)], module=module)
+
+
+def pack(kind: Any, config: ComponentConfig) -> Any:
+    """Return the values of a config as a `kernel_tuple`."""
+    return kind._make(astuple(config))

@@ -1,0 +1,157 @@
+"""What the compiled code takes: the buildings that all robots share, and the episode of each robot."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from cyclic_env.config import STEP_BUDGET_MAX, EnvConfig
+from cyclic_env.errors import ConfigError
+from cyclic_env.floor_plans import FloorPlan
+from cyclic_env.simulation.lidar import Beams, laser_beams
+from cyclic_env.simulation.physics import Simulation
+from cyclic_env.simulation.sensors import Sensors
+from cyclic_env.simulation.wall_index import WallIndex, build_wall_index, join_wall_indices
+from cyclic_env.task.coverage import CoverageGrid, build_coverage_grid, joined_coverage_grid
+from cyclic_env.task.loop_closure import ClosureRules, closure_rules
+from cyclic_env.task.path_history import ClosureMemory, allocate_memory, joined_memory
+from cyclic_env.task.rewards import REWARD_TERMS, reward_weights
+
+BUDGET_LAPS = 3.0
+CORRIDOR_WIDTH = 2.0
+"""The step budget is enough to drive this many times through corridors of this width (metres) with the plan's area."""
+
+INFO = np.dtype(
+    [
+        ("is_success", "?"),
+        ("coverage", "f8"),
+        ("cycles_closed", "i8"),
+        ("cycles_total", "i8"),
+        ("revisit", "?"),
+        ("claim_judged", "?"),
+        ("claim_correct", "?"),
+        ("claim_error_m", "f8"),
+        ("claims", "i8"),
+        ("false_claims", "i8"),
+        ("revisits", "i8"),
+        ("revisits_recognised", "i8"),
+        ("precision", "f8"),
+        ("recall", "f8"),
+        ("new_cycle", "?"),
+        ("collisions", "i8"),
+        ("path_length_m", "f8"),
+        ("x", "f8"),
+        ("y", "f8"),
+        ("heading", "f8"),
+    ]
+)
+"""The flat part of an info, one record a robot; `reward_terms` comes beside it."""
+
+OUTCOME = np.dtype(
+    [
+        ("reward", "f8"),
+        ("terminated", "?"),
+        ("truncated", "?"),
+        ("contact", "?"),
+        ("cells_seen", "i8"),
+        ("cells_paid", "i8"),  # those of them that the reward has paid for
+        ("episode_return", "f8"),  # sum of the rewards since the reset
+    ]
+)
+"""The result of a robot's last step."""
+
+
+def step_budget(plan: FloorPlan, config: EnvConfig) -> int:
+    """Return after how many steps an episode in the plan is truncated.
+
+    Raises
+    ------
+    ConfigError
+        If the default is too many.
+    """
+    if config.step_budget is not None:
+        return config.step_budget
+    steps = BUDGET_LAPS * plan.free_area / CORRIDOR_WIDTH / config.robot.advance_max
+    if steps > STEP_BUDGET_MAX:
+        raise ConfigError(
+            f"floor plan {plan.name!r} is so large that its step budget exceeds {STEP_BUDGET_MAX}; give one."
+        )
+    return math.ceil(steps)
+
+
+class Buildings(NamedTuple):
+    """What all robots share: the settings of the task, and the P plans in use."""
+
+    tiles: WallIndex
+    beams: Beams
+    scan_spacing: float
+    coverage_complete: float
+    rules: ClosureRules
+    weights: np.ndarray
+    step_budget: np.ndarray
+    terminate_on_collision: bool
+
+
+class Episodes(NamedTuple):
+    """What each of N robots has of its own."""
+
+    plan_of: np.ndarray
+    drive: np.ndarray
+    true_ranges: np.ndarray
+    scratch: np.ndarray
+    grid: CoverageGrid
+    memory: ClosureMemory
+    info: np.ndarray
+    terms: np.ndarray
+    outcome: np.ndarray
+
+
+def make_buildings(plan: FloorPlan, config: EnvConfig) -> Buildings:
+    """Return the buildings of a pool in which one plan is in use."""
+    budget = np.array([step_budget(plan, config)], np.int64)
+    return Buildings(
+        tiles=build_wall_index(plan, config.laser.range_max),
+        beams=laser_beams(config.laser),
+        scan_spacing=config.coverage.scan_spacing,
+        coverage_complete=config.coverage.complete,
+        rules=closure_rules(config.closure),
+        weights=reward_weights(config.reward, np.array([plan.cycles_total]), budget),
+        step_budget=budget,
+        terminate_on_collision=config.terminate_on_collision,
+    )
+
+
+def make_episodes(plan: FloorPlan, config: EnvConfig, simulation: Simulation, sensors: Sensors) -> Episodes:
+    """Return room for the episodes of all robots of the simulation in one plan."""
+    num_robots = len(simulation.drive)
+    return Episodes(
+        plan_of=simulation.plan_of,
+        drive=simulation.drive,
+        true_ranges=sensors.true_ranges,
+        scratch=np.empty((num_robots, 2 * config.laser.num_beams)),
+        grid=build_coverage_grid(plan, num_robots, config.coverage),
+        memory=allocate_memory(plan, num_robots, step_budget(plan, config), config.closure),
+        info=np.zeros(num_robots, INFO),
+        terms=np.zeros((num_robots, len(REWARD_TERMS))),
+        outcome=np.zeros(num_robots, OUTCOME),
+    )
+
+
+def add_plan(
+    buildings: Buildings, episodes: Episodes, plan: FloorPlan, config: EnvConfig
+) -> tuple[Buildings, Episodes]:
+    """Return the buildings with one more plan in use, and the running episodes with room for those in it."""
+    other, num_robots = make_buildings(plan, config), len(episodes.info)
+    cells = build_coverage_grid(plan, num_robots, config.coverage)
+    memory = allocate_memory(plan, num_robots, int(other.step_budget[0]), config.closure)
+    buildings = buildings._replace(
+        tiles=join_wall_indices(buildings.tiles, other.tiles),
+        weights=np.concatenate([buildings.weights, other.weights]),
+        step_budget=np.concatenate([buildings.step_budget, other.step_budget]),
+    )
+    episodes = episodes._replace(
+        grid=joined_coverage_grid(episodes.grid, cells), memory=joined_memory(episodes.memory, memory)
+    )
+    return buildings, episodes

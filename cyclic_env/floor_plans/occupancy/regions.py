@@ -1,0 +1,263 @@
+"""Which cells of a grid the centre of a robot can be in, once specks are dropped and what was only looked into.
+
+Lengths and areas are in cells unless stated otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from scipy import ndimage
+
+from cyclic_env.errors import FloorPlanError
+from cyclic_env.floor_plans.floor_plan import Pose
+from cyclic_env.floor_plans.occupancy.grid import FREE_BELOW, UNKNOWN, OccupancyGrid
+from cyclic_env.floor_plans.occupancy.morphology import dilated
+
+ENCLOSED_SHARE = 0.1
+"""A region that the image's edge does not cut is preferred to a larger one that it cuts, such as the paper around a
+drawing, down to this share of its area. So is a region with more walls to a larger one that surrounds it, such as the
+paper in the frame of a drawing."""
+
+BOUNDED_SHARE = 0.25
+"""Share of its outline from which walls make a place that was only looked into a room rather than a yard."""
+
+LONE_SHARE = 0.25
+"""Share of the size of a speck from which a single group may separate two places."""
+
+NEAR = 2.5
+"""A wall this close to the end of what was seen bounds it. Unknown space is more than twice as wide; thinner grey is
+the edge of a line."""
+
+FITS_NOWHERE = "the robot fits nowhere in the map's free space; is the resolution right, or its radius too large?"
+
+CONNECTED_8 = np.ones((3, 3), dtype=int)
+
+
+class CroppedGrid(NamedTuple):
+    """The part of a grid that has free cells, with a rim of walls.
+
+    Attributes
+    ----------
+    grid : OccupancyGrid
+    free : (rows, columns) bool
+        The free cells of the part.
+    corner : (int, int)
+        Row and column of the part's first cell in the grid; -1 for a rim outside the grid.
+    """
+
+    grid: OccupancyGrid
+    free: np.ndarray
+    corner: tuple[int, int]
+
+    def cell(self, pose: Pose) -> tuple[int, int]:
+        """Return the row and column, in the part, of the cell that a pose in the world is in."""
+        column, row = np.floor(self.grid.to_grid(np.array([pose[:2]]))[0]).astype(int) - self.corner[::-1]
+        return int(row), int(column)
+
+    def has(self, row: int, column: int) -> bool:
+        """Tell whether the part has a cell."""
+        return 0 <= row < self.free.shape[0] and 0 <= column < self.free.shape[1]
+
+
+def crop(grid: OccupancyGrid) -> CroppedGrid:
+    """Crop a grid to its free cells, which must exist."""
+    free = grid.free
+    row, column = (np.flatnonzero(free.any(axis=axis))[[0, -1]] for axis in (1, 0))
+    part = free[row[0] : row[1] + 1, column[0] : column[1] + 1]
+    return CroppedGrid(grid, np.pad(part, 1), (int(row[0]) - 1, int(column[0]) - 1))
+
+
+def drop_specks(free: np.ndarray, cells_min: float, radius: float) -> tuple[int, int]:
+    """Free the groups of fewer than `cells_min` wall cells, in place; return the number of groups and of cells.
+
+    Cells of a group are at most one other cell apart, so that a wall that the laser saw as a row of dots is one group.
+    Groups that keep a robot of that radius from going from one place to another stay, such as the posts of windows,
+    except for a single group that is very small, such as noise in a doorway.
+    """
+    walls = ~free
+    groups = ndimage.label(dilated(walls, 1.5), CONNECTED_8)[0]
+    groups[free] = 0
+    sizes = np.bincount(groups.ravel())
+    small = sizes < cells_min
+    small[[0, groups[0, 0]]] = False  # no wall, and the rim
+    regions = ndimage.label(~dilated(walls, radius))[0]
+    margin = math.ceil(radius) + 1
+    posts = defaultdict(list)
+    for group, box in enumerate(ndimage.find_objects(groups), 1):
+        if small[group]:
+            around = tuple(slice(max(part.start - margin, 0), part.stop + margin) for part in box)
+            for pair in combinations(np.unique(regions[around][regions[around] > 0]), 2):
+                posts[pair].append(group)
+    for together in posts.values():
+        if len(together) > 1 or sizes[together[0]] >= LONE_SHARE * cells_min:
+            small[together] = False
+    free |= small[groups]
+    return int(np.count_nonzero(small)), int(sizes[small].sum())
+
+
+def reachable_centres(part: CroppedGrid, radius: float, start: Pose | None) -> np.ndarray:
+    """Return the cells that the centre of a robot can reach from the start, or the largest region of such cells.
+
+    Raises
+    ------
+    FloorPlanError
+        If the robot fits nowhere, or not at the start.
+    """
+    grid, free, corner = part
+    open_space = ~dilated(~free, radius)
+    labels = ndimage.label(open_space)[0]
+    sizes = np.bincount(labels.ravel())[1:]
+    if not len(sizes):
+        raise FloorPlanError(FITS_NOWHERE)
+    if start is None:
+        rows, columns = (np.array(size) - radius - 1 for size in grid.cells.shape)
+        cut = [
+            min(box[0].start + corner[0], box[1].start + corner[1]) < radius + 1
+            or box[0].stop + corner[0] > rows
+            or box[1].stop + corner[1] > columns
+            for box in ndimage.find_objects(labels)
+        ]
+        row, column = part.cell((0.0, 0.0, 0.0))
+        origin = int(labels[row, column]) if part.has(row, column) else 0
+        origin *= not cut[origin - 1]
+        return labels == _building(labels, np.where(cut, ENCLOSED_SHARE, 1.0) * sizes, origin)
+    row, column = part.cell(start)
+    inside = part.has(row, column)
+    if inside and open_space[row, column]:
+        return labels == labels[row, column]
+    rows, columns = np.nonzero(open_space)
+    nearest = np.argmin((rows - row) ** 2 + (columns - column) ** 2)
+    x, y = grid.to_world(np.array([[columns[nearest] + corner[1] + 0.5, rows[nearest] + corner[0] + 0.5]]))[0]
+    fault = "too near a wall" if inside and free[row, column] else "in a wall, in unknown space or outside the map"
+    raise FloorPlanError(f"start ({start[0]:g}, {start[1]:g}) is {fault}; move it, for example to ({x:.2f}, {y:.2f}).")
+
+
+def _building(labels: np.ndarray, sizes: np.ndarray, origin: int) -> int:
+    """Return the label of the largest region, or of a better one that has more walls and is not far smaller.
+
+    A better one lies inside it: the paper between the frame of a drawing and the building is larger than the building,
+    but has fewer walls; so has a courtyard, which lies inside the building. Or it has the label `origin`, that of the
+    origin of the world, where the mapping of a race track began, with more walls than the infield.
+    """
+    edge = labels[(labels > 0) & ~ndimage.binary_erosion(labels > 0)]
+    walls = np.bincount(edge, minlength=len(sizes) + 1)[1:]
+    boxes = ndimage.find_objects(labels)
+    best = int(np.argmax(sizes))
+    while True:
+        rivals = (walls > walls[best]) & (sizes >= ENCLOSED_SHARE * sizes[best])
+        if not rivals.any():
+            return 1 + best
+        if origin and rivals[origin - 1]:
+            return origin
+        part = labels[boxes[best]]
+        enclosed = np.unique(part[ndimage.binary_fill_holes(part == 1 + best)])
+        rivals &= np.isin(np.arange(1, len(sizes) + 1), enclosed)
+        if not rivals.any():
+            return 1 + best
+        best = int(np.argmax(np.where(rivals, sizes, 0)))
+
+
+def drop_glimpses(centres: np.ndarray, part: CroppedGrid, radius: float, door: float, start: Pose | None) -> np.ndarray:
+    """Return the centres without the places that were only looked into, behind openings narrower than a door.
+
+    A place was only looked into, a glimpse, if more of its outline is unknown than wall. It stays if it is on the way
+    to a place as wide as a door that is none, or if it joins places that stay, unless it is wide and has hardly any
+    walls, like a yard behind windows. Everything stays if the place of the start, or else the largest place, is a
+    glimpse.
+    """
+    half_door = door / 2 - radius
+    if half_door < 1 or not (part.grid.cells == UNKNOWN).any():
+        return centres
+    places, count_wide, count = _places(centres, half_door)
+    walls = _wall_shares(places, count, part, centres, radius)
+    if walls is None:
+        return centres
+    glimpse = walls < 0.5
+    largest = 1 + int(np.argmax(np.bincount(places.ravel())[1:]))
+    home = largest if start is None else int(places[part.cell(start)])
+    if glimpse[home]:
+        return centres
+    pairs = _neighbours(places)
+    kept = _on_the_way(pairs, glimpse, home, count_wide)
+    small = np.bincount(places.ravel(), minlength=count + 1) < (2 * door - 2 * radius) ** 2  # two doors square
+    through = (np.arange(count + 1) > count_wide) | (walls >= BOUNDED_SHARE) | small
+    return (kept | _joining(places, pairs, kept, through))[places]
+
+
+def _places(centres: np.ndarray, half_door: float) -> tuple[np.ndarray, int, int]:
+    """Divide the centres where they are narrower than a door; return labels, the number of wide places and of all."""
+    wide = dilated(centres & ~dilated(~centres, half_door), half_door) & centres
+    places, count_wide = ndimage.label(wide)
+    narrow, count_narrow = ndimage.label(centres & ~wide)
+    places[narrow > 0] = narrow[narrow > 0] + count_wide
+    return places, count_wide, count_wide + count_narrow
+
+
+def _wall_shares(
+    places: np.ndarray, count: int, part: CroppedGrid, centres: np.ndarray, radius: float
+) -> np.ndarray | None:
+    """Return the share of walls in the outline of each place; None if all grey is that of drawn lines."""
+    free, (row, column), (rows, columns) = part.free, part.corner, part.free.shape
+    cells = np.pad(part.grid.cells, 1)[row + 1 : row + 1 + rows, column + 1 : column + 1 + columns]
+    unseen = cells == UNKNOWN
+    if 2 * np.count_nonzero(dilated(~dilated(~unseen, NEAR), NEAR)) < np.count_nonzero(unseen):
+        return None
+    bounded = dilated((cells >= FREE_BELOW) & ~free, NEAR)
+    outline = dilated(free, 1.5) & ~free & dilated(centres, radius + 1.5)
+    nearest = ndimage.distance_transform_edt(places == 0, return_distances=False, return_indices=True)
+    place = places[nearest[0][outline], nearest[1][outline]]
+    around = np.bincount(place, minlength=count + 1)
+    walls = np.bincount(place[bounded[outline]], minlength=count + 1)
+    return np.where(around > 0, walls / np.maximum(around, 1), 1.0)
+
+
+def _neighbours(places: np.ndarray) -> np.ndarray:
+    """Return the pairs of labels that meet, in both orders, `(2, n)`."""
+    sides = [(places[1:], places[:-1]), (places[:, 1:], places[:, :-1])]
+    pairs = np.concatenate([np.stack([a, b])[:, (a != b) & (a > 0) & (b > 0)] for a, b in sides], axis=1)
+    return np.unique(np.concatenate([pairs, pairs[::-1]], axis=1), axis=1)
+
+
+def _on_the_way(pairs: np.ndarray, glimpse: np.ndarray, home: int, count_wide: int) -> np.ndarray:
+    """Return which places are reached from home, through as few glimpses as it takes to reach wide ones with walls."""
+    from scipy.sparse import csr_array  # takes a tenth of a second that maps without unknown space don't need
+    from scipy.sparse.csgraph import dijkstra
+
+    count = len(glimpse) - 1
+    cost = np.where(glimpse[pairs[1]], count + 1, 1)  # a way through all other places is better than through a glimpse
+    ways = csr_array((cost, tuple(pairs)), shape=(count + 1, count + 1))
+    (distances,), (predecessors,) = dijkstra(ways, indices=[home], return_predecessors=True)
+    kept = distances <= count
+    for place in 1 + np.flatnonzero(~glimpse[1 : count_wide + 1]):
+        while not kept[place]:
+            kept[place] = True
+            place = predecessors[place]
+    return kept
+
+
+def _joining(places: np.ndarray, pairs: np.ndarray, kept: np.ndarray, through: np.ndarray) -> np.ndarray:
+    """Return which other places, among those that can be driven `through`, lead from kept ones back to kept ones.
+
+    They do if they lie on a cycle of the graph of places in which all kept ones are a single node: not dead ends. Where
+    a place meets kept ones at two separate stretches of its outline, each of these is a node as well.
+    """
+    import networkx as nx
+
+    other = through & ~kept
+    other[0] = False
+    contact = other[places] & dilated(kept[places] & (places > 0), 1.1)
+    stretches = ndimage.label(dilated(contact, NEAR), CONNECTED_8)[0]
+    graph = nx.Graph(pairs[:, other[pairs].all(axis=0)].T.tolist())
+    for place, stretch in np.unique(np.stack([places[contact], stretches[contact]], axis=1), axis=0).tolist():
+        graph.add_edges_from([(place, -stretch), (-stretch, "kept")])
+    joining = np.zeros(len(kept), bool)
+    blocks: Any = nx.biconnected_components(graph)
+    for block in blocks:
+        if "kept" in block and len(block) > 2:
+            joining[[node for node in block if node != "kept" and node > 0]] = True
+    return joining

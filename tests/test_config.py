@@ -1,0 +1,85 @@
+"""Settings: stated once, taken by both environments, refused when they don't fit."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopVectorEnv, EnvConfig, FloorPlan, NoiseConfig
+from cyclic_env.config import NOISE_PRESETS, from_mapping, noise_from_name
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"noise": "tipical"}, "Did you mean 'typical'"),
+        ({"noise": {"laser_sigm": 0.1}}, "Did you mean 'laser_sigma'"),
+        ({"noise": {"laser_short": 0.6, "laser_max": 0.6}}, "at most 1"),
+        ({"noise": {"laser_sigma": -1}}, "at least 0"),
+        ({"noise": []}, "expected a NoiseConfig or a mapping"),
+        ({"map_name": ()}, "EnvConfig.map_name"),
+        ({"action_type": "wheel"}, "Did you mean 'wheels'"),
+        ({"action_type": np.array(["wheels", "twist"])}, "unknown action type"),
+        ({"random_start": "yes"}, "True or False"),
+        ({"step_budget": 0}, "whole number from 1"),
+        ({"step_budget": 1.5}, "whole number from 1"),
+        ({"step_budget": 10**5000}, "thousands of digits"),
+        ({"robot": {"radius": float("nan")}}, "RobotConfig.radius is nan"),
+        ({"robot": {"radius": 0.01}}, "substep"),
+        ({"robot": {"radius": 10**400}}, "radius"),
+        ({"robot": {"radius": np.zeros((40, 40))}}, "RobotConfig.radius is array"),
+        ({"robot": {"wheels": 3}}, "unknown field of RobotConfig 'wheels'"),
+        ({"robot": 3}, "expected a RobotConfig or a mapping"),
+        ({"laser": {"num_beams": 180.0}}, "whole number"),
+        ({"laser": {"range_max": 0}}, "more than 0"),
+        ({"closure": {"leave_radius": 1.0}}, "leave_radius"),
+        ({"coverage": {"complete": 2}}, "at most 1"),
+        ({"coverage": {"scan_spacing": 1e-19}}, "scan_spacing"),
+        ({"reward": {"time": "x"}}, "RewardConfig.time"),
+        ({"lasr": {}}, "Did you mean 'laser'"),
+    ],
+)
+def test_a_setting_that_does_not_fit_is_refused_in_one_line(settings: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as caught:
+        from_mapping(EnvConfig, settings)
+    assert "\n" not in str(caught.value)
+
+
+def test_settings_cannot_be_changed() -> None:
+    with pytest.raises(AttributeError):
+        EnvConfig().robot.radius = 1.0  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_settings_survive_a_trip_through_plain_values() -> None:
+    config = EnvConfig(map_name=("ring", "grid"), noise=NoiseConfig(laser_sigma=0.1), step_budget=7)
+    assert from_mapping(EnvConfig, asdict(config)) == config
+
+
+def test_noise_has_the_name_of_its_preset() -> None:
+    assert EnvConfig(noise="typical").sensor_noise == NOISE_PRESETS["typical"]
+    assert EnvConfig(noise=NOISE_PRESETS["poor"]).noise_name == "poor"
+    assert EnvConfig(noise=replace(noise_from_name("poor"), laser_sigma=0.5)).noise_name == "custom"
+
+
+@pytest.mark.parametrize("env_class", [CyclicLoopEnv, CyclicLoopVectorEnv])
+def test_both_environments_take_a_config_and_single_fields_in_place_of_its_own(
+    env_class: Any, square_room: FloorPlan
+) -> None:
+    config = EnvConfig(map_name="ring", noise="typical", step_budget=9)
+    assert env_class(config=config).config == config
+    assert env_class(config={"map_name": "ring", "noise": "typical", "step_budget": 9}).config == config
+    env = env_class(map_name=[square_room, "grid"], config=config, laser={"num_beams": 90})
+    assert env.config == replace(config, map_name=("square_room", "grid"), laser=replace(config.laser, num_beams=90))
+    assert [plan.name for plan in env.floor_plans] == ["square_room", "grid"]
+
+
+@pytest.mark.parametrize("number", [Fraction(1, 3), np.float32(0.3), np.longdouble(0.3)])
+def test_numbers_of_other_types_are_stored_as_pythons(number: Any) -> None:
+    config = from_mapping(EnvConfig, {"step_budget": np.int32(5), "robot": {"radius": number}})
+    assert type(config.step_budget) is int
+    assert config.robot.radius == float(number)
+    assert type(config.robot.radius) is float
