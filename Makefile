@@ -28,7 +28,7 @@ $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 
 $(VENV)/.run: $(BIN)/python pyproject.toml constraints.txt
-	$(PIP) -c constraints.txt -e ".[plot,render]"
+	$(PIP) -c constraints.txt -e ".[cli,plot,render]"
 	touch $@
 
 $(VENV)/.paper: $(VENV)/.run

@@ -8,21 +8,21 @@ from pathlib import Path
 from typing import Any
 
 from agents.registry import agent_names, make_agent
+from agents.rl import require_learning
 from cyclic_env import CyclicLoopVectorEnv
 from cyclic_env.config import ActionType, noise_from_name
 from cyclic_env.errors import ConfigError
-from cyclic_env.evaluation.rollout import Evaluation, Policy, checked_seeds, evaluate
+from cyclic_env.evaluation.rollout import Policy, checked_seeds, evaluate
+from cyclic_env.evaluation.statistics import Evaluation
 from cyclic_env.floor_plans import load_floor_plans
 from cyclic_env.validation import unknown_name
 
 DEFAULT_MAP = "killian_court"
-LEARNING = ("stable_baselines3", "torch")
-"""Packages of the extra ``train``."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Contestant:
-    """An agent that takes part in a comparison."""
+    """An agent in a comparison."""
 
     name: str
     policy: Policy
@@ -31,7 +31,7 @@ class Contestant:
     """What it was trained on; empty for an agent that was not."""
 
 
-def contestant(name: str, action_type: ActionType | None = None) -> Contestant:
+def load_contestant(name: str, action_type: ActionType | None = None) -> Contestant:
     """Return the agent of that name, or the model in that file or folder.
 
     Parameters
@@ -56,7 +56,7 @@ def contestant(name: str, action_type: ActionType | None = None) -> Contestant:
             raise ConfigError(f"there is no model file {name}.")
         raise ConfigError(unknown_name("agent", name, agent_names()) + " Or give the file of a model.")
     require_learning()
-    from agents.rl.training import check_fits, load_trained
+    from agents.rl.storage import check_fits, load_trained
 
     trained = load_trained(path)
     its_type = trained.settings.action_type if trained.settings else None
@@ -81,16 +81,14 @@ def compare(
 ) -> Iterator[Evaluation]:
     """Evaluate several agents on the same maps with the same seeds, and yield each evaluation as it ends.
 
-    Ctrl-C ends the evaluation that is running, which is the last then, and keeps the episodes that are done.
-
     Parameters
     ----------
     names : sequence of str
-        As `contestant` takes them.
+        As `load_contestant` takes them.
     maps : sequence of str
         By default what the models among the agents were trained on; without models, Killian Court.
     action_type : str, optional
-        As for `contestant`.
+        As for `load_contestant`.
     noise, seeds, settings
         As for `cyclic_env.evaluation.rollout.evaluate`.
 
@@ -101,7 +99,7 @@ def compare(
     """
     noise_from_name(noise)
     seeds = checked_seeds(seeds)
-    contestants = [contestant(name, action_type) for name in names]
+    contestants = [load_contestant(name, action_type) for name in names]
     trained_on = {entry.map_name for entry in contestants if entry.map_name}
     if not maps:
         if len(trained_on) > 1:
@@ -110,7 +108,7 @@ def compare(
     pools = [load_floor_plans(map_name) for map_name in maps]
     for pool in pools:
         for entry in contestants:
-            evaluation = evaluate(
+            yield evaluate(
                 entry.policy,
                 agent=entry.name,
                 seeds=seeds,
@@ -119,25 +117,3 @@ def compare(
                 action_type=entry.action_type,
                 **settings,
             )
-            yield evaluation
-            if not evaluation.complete:
-                return
-
-
-def require_learning() -> None:
-    """Check that the packages for learned agents are installed.
-
-    Raises
-    ------
-    ConfigError
-        If they aren't; the message says how to install them.
-    """
-    try:
-        for package in LEARNING:
-            __import__(package)
-    except ModuleNotFoundError as error:
-        if error.name in LEARNING:
-            raise ConfigError(
-                f'{error.name} is missing, and learned agents need it: pip install -e ".[train]" in the checkout.'
-            ) from error
-        raise

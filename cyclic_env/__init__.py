@@ -40,36 +40,12 @@ if TYPE_CHECKING:
 
 __version__ = "0.1.0"
 
-_HOMES = {
-    "cyclic_env.config": (
-        "NOISE_PRESETS",
-        "ClosureConfig",
-        "CoverageConfig",
-        "EnvConfig",
-        "LaserConfig",
-        "NoiseConfig",
-        "RewardConfig",
-        "RobotConfig",
-    ),
-    "cyclic_env.envs.cyclic_loop": ("CyclicLoopEnv",),
-    "cyclic_env.errors": (
-        "ActionError",
-        "ConfigError",
-        "CyclicLoopError",
-        "FloorPlanError",
-        "RecordingError",
-        "UsageError",
-    ),
-    "cyclic_env.floor_plans": ("FloorPlan", "load_floor_plan", "map_names", "read_floor_plan", "write_floor_plan"),
-    "cyclic_env.recording.format": ("Recording", "read_recording"),
-    "cyclic_env.recording.readers": ("read_robot_log",),
-    "cyclic_env.recording.recorded_run": ("RecordedRun",),
-    "cyclic_env.recording.recorder": ("Recorder",),
-    "cyclic_env.recording.replay": ("replay",),
-    "cyclic_env.recording.robot_log": ("RobotLog",),
-    "cyclic_env.envs.vector": ("CyclicLoopVectorEnv",),
-}
-_HOME_OF = {name: module for module, names in _HOMES.items() for name in names}
+_MODULES = (
+    *("config", "errors", "floor_plans", "envs.cyclic_loop", "envs.vector"),
+    *("recording.format", "recording.recorder", "recording.replay"),
+    *("recording.robot_log", "recording.readers", "recording.recorded_run"),
+)
+"""Modules with public names, the quickest to load first."""
 
 __all__ = [
     "NOISE_PRESETS",
@@ -104,9 +80,12 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    if name not in _HOME_OF:
-        raise AttributeError(f"module 'cyclic_env' has no attribute {name!r}")
-    return getattr(importlib.import_module(_HOME_OF[name]), name)
+    if name in __all__:
+        for module in _MODULES:
+            values = vars(importlib.import_module(f"cyclic_env.{module}"))
+            if name in values:
+                return values[name]
+    raise AttributeError(f"module 'cyclic_env' has no attribute {name!r}")
 
 
 def __dir__() -> list[str]:

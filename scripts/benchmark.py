@@ -7,23 +7,22 @@ Every rate is the best of five, since other work on a machine only ever slows it
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # agents are not installed, but run from the checkout
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(signal.SIGINT, lambda *_: (print("\nbenchmark.py: nothing done yet", file=sys.stderr), os._exit(130)))
+    run_script(__file__)
 
 import argparse
 import json
 import math
+import os
 import platform
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -34,15 +33,15 @@ from numba import njit
 from shapely.affinity import scale
 
 import cyclic_env
-from agents.comparison import require_learning
+from agents.rl import require_learning
 from cyclic_env import ConfigError, CyclicLoopVectorEnv, FloorPlan, load_floor_plan, map_names
 from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.config import LaserConfig, RobotConfig
-from cyclic_env.console import say
 from cyclic_env.simulation.lidar import laser_beams, scan, scan_row
 from cyclic_env.simulation.physics import Simulation
 from cyclic_env.simulation.wall_index import build_wall_index
 from cyclic_env.task.path_history import allocate_memory
+from scripts._cli import command, interruptible
 
 ROOT = Path(__file__).resolve().parents[1]
 REPEATS = 5
@@ -78,6 +77,17 @@ class Row(NamedTuple):
         if not self.target:
             return ""
         return "ok" if self.least <= self.value <= self.most else "MISSED"
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the row as plain values, with None for NaN."""
+        return {
+            "what": self.what,
+            "measurement": self.name,
+            "value": None if math.isnan(self.value) else self.value,
+            "unit": self.unit,
+            "target": self.target,
+            "verdict": self.verdict,
+        }
 
 
 @njit(error_model="numpy")  # not cached: numba can't find a script's functions when it runs under another name
@@ -356,18 +366,16 @@ def measure_walls(steps: int) -> Iterator[Row]:
         yield Row("walls", f"{name}: least clearance, {contacts} contacts", clearance, "m", least=0.19)
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the measurements and print them as they come; return the exit code: 0, or 130 after Ctrl-C."""
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the measurements and print them as they come."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the results there as well")
     parser.add_argument("--quick", action="store_true", help="fewer steps")
     parser.add_argument("--walls", action="store_true", help="only drive 10^6 steps into walls on every plan")
     args = parser.parse_args(arguments)
     if args.json:
-        try:
-            check_writable(args.json)
-        except ConfigError as error:
-            parser.error(f"--json: {error}")
+        check_writable(args.json)
     measurements: list[Callable[[], Iterator[Row]]] = [
         measure_machine,
         measure_laser,
@@ -382,37 +390,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if args.walls:
         measurements = [lambda: measure_walls(1_000_000)]
     versions = f"cyclic_env {cyclic_env.__version__}, Python {platform.python_version()}, pymunk {pymunk.version}"
-    say(f"{versions}, {os.cpu_count()} cores\n")
-    say("| what | measurement | value | unit | target | |\n|---|---|---:|---|---|---|")
+    print(f"{versions}, {os.cpu_count()} cores\n")
+    print("| what | measurement | value | unit | target | |\n|---|---|---:|---|---|---|")
     rows: list[Row] = []
-    code = 0
-    try:
+    with interruptible() as interruption:
         for measurement in measurements:
             for row in measurement():
                 rows.append(row)
-                say(f"| {row.what} | {row.name} | {row.formatted} | {row.unit} | {row.target} | {row.verdict} |")
-    except KeyboardInterrupt:
-        code = 130
+                print(f"| {row.what} | {row.name} | {row.formatted} | {row.unit} | {row.target} | {row.verdict} |")
     if args.json:
-        results = [
-            {
-                "what": row.what,
-                "measurement": row.name,
-                "value": None if math.isnan(row.value) else row.value,
-                "unit": row.unit,
-                "target": row.target,
-                "verdict": row.verdict,
-            }
-            for row in rows
-        ]
-        text = json.dumps({"versions": versions, "complete": not code, "results": results}, indent=1)
-        write_text_atomically(args.json, text + "\n")
-    if code:
+        results = {"versions": versions, "complete": not interruption, "results": [row.to_json() for row in rows]}
+        write_text_atomically(args.json, json.dumps(results, indent=1) + "\n")
+    if interruption:
         kept = f" and in {args.json}" if args.json else ""
-        print(f"benchmark.py: stopped; the {len(rows)} rows measured so far are above{kept}.", file=sys.stderr)
-    return code
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.exit(main())
+        raise interruption.stopped(f"the {len(rows)} rows measured so far are above{kept}.")

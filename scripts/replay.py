@@ -2,72 +2,61 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(signal.SIGINT, lambda *_: (print("\nreplay.py: nothing done yet", file=sys.stderr), os._exit(130)))
+    run_script(__file__)
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from cyclic_env import CyclicLoopEnv, CyclicLoopError, RecordingError, read_recording, replay
+from cyclic_env import CyclicLoopEnv, RecordingError, read_recording, replay
 from cyclic_env.atomic_write import check_outputs
-from cyclic_env.console import ProgressLine, say
-from cyclic_env.evaluation.rollout import format_rows, score_rows
 from cyclic_env.recording.format import Recording
 from cyclic_env.recording.replay import Replay
 from cyclic_env.trajectory.metrics import ate
+from scripts._cli import command, progress_bar
+from scripts._tables import format_rows, score_rows
 
 if TYPE_CHECKING:
     from cyclic_env.rendering.gif import GifWriter
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0 if bit-equal, 1 if not, 2 for bad input, 130 after Ctrl-C."""
+@command
+def main(arguments: Sequence[str] | None) -> int:
+    """Run the command; return 0 if the replay is bit-equal, else 1."""
     parser = argparse.ArgumentParser(description=__doc__, epilog="Exit code: 0 bit-equal, 1 not, 2 bad input.")
     parser.add_argument("file", type=Path, metavar="FILE", help="recording of an episode, NPZ")
     parser.add_argument("--gif", type=Path, metavar="FILE", help="write an animation of the episode")
     parser.add_argument("--human", action="store_true", help="show the episode in a window, in real time")
     args = parser.parse_args(arguments)
-    progress = ProgressLine()
     animation: GifWriter | None = None
-    try:
-        recording = read_recording(args.file)
+    recording = read_recording(args.file)
+    if args.gif is not None:
+        import cyclic_env.rendering.gif  # noqa: F401 (fails before the replay if something is missing)
+
+        check_outputs([args.gif], [args.file])
+
+    def on_step(env: CyclicLoopEnv, step: int) -> None:
+        nonlocal animation
+        progress.update(step - progress.n)
         if args.gif is not None:
-            import cyclic_env.rendering.gif  # noqa: F401 (fails before the replay if something is missing)
+            from cyclic_env.rendering.gif import GifWriter
 
-            check_outputs([args.gif], [args.file])
+            animation = GifWriter(env) if animation is None else animation
+            animation.take(step, last=step == recording.steps)
 
-        def on_step(env: CyclicLoopEnv, step: int) -> None:
-            nonlocal animation
-            progress.show(f"step {step:,} of {recording.steps:,}")
-            if args.gif is not None:
-                from cyclic_env.rendering.gif import GifWriter
-
-                animation = GifWriter(env) if animation is None else animation
-                animation.take(step, last=step == recording.steps)
-
+    with progress_bar(recording.steps, "step") as progress:
         try:
             outcome = replay(recording, render_mode="human" if args.human else None, on_step=on_step)
         except RecordingError as error:
             raise RecordingError(f"{args.file}: {error}") from error
-        finally:
-            progress.clear()
-        say(report(recording, outcome))
-        if animation is not None:
-            animation.write(args.gif)
-            say(f"\nwritten: {args.gif}")
-    except (CyclicLoopError, OSError) as error:
-        print(f"replay.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nreplay.py: stopped before the end; there is no result.", file=sys.stderr)
-        return 130
+    print(report(recording, outcome))
+    if animation is not None:
+        animation.write(args.gif)
+        print(f"\nwritten: {args.gif}")
     return 0 if outcome.equal else 1
 
 
@@ -87,9 +76,3 @@ def report(recording: Recording, outcome: Replay) -> str:
         "steps": f"{outcome.steps:,}" + ("" if ended else ", stopped early"),
     }
     return f"{outcome.verdict()}\n{format_rows(rows)}"
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
-    sys.exit(main())

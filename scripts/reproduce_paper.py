@@ -2,61 +2,43 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))  # agents are not installed, but run from the checkout
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(
-        signal.SIGINT, lambda *_: (print("\nreproduce_paper.py: nothing done yet", file=sys.stderr), os._exit(130))
-    )
+    run_script(__file__)
 
 import argparse
 from collections.abc import Sequence
+from pathlib import Path
 
 from cyclic_env.atomic_write import check_writable
-from cyclic_env.console import ProgressLine, say
-from cyclic_env.errors import CyclicLoopError
-from scripts.paper.cache import check_processes
-from scripts.paper.sections import FULL, QUICK
+from cyclic_env.errors import ConfigError
+from scripts._cli import command, interruptible
+from scripts.paper.experiments import PAPER, PAPER_ALL, QUICK
+
+PROCESSES_MAX = 64
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer seeds and settings")
+    parser.add_argument("--quick", action="store_true", help="fewer starts and plans")
+    parser.add_argument("--all", action="store_true", help="also vary the readings, and sweep the noise")
     parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder for the files (default out/paper)")
     parser.add_argument("--docs", type=Path, metavar="FOLDER", help="also write paper.md and small pictures there")
     parser.add_argument("--processes", type=int, default=2, help="at once (default 2)")
     args = parser.parse_args(arguments)
-    progress = ProgressLine()
-    try:
-        import cyclic_env.rendering.figures  # noqa: F401 (it says what to do where matplotlib is missing)
-        from scripts.paper.reproduction import Reproduction
+    import cyclic_env.rendering.figures  # noqa: F401 (it says what to do where matplotlib is missing)
+    from scripts.paper.report import Reproduction
 
-        check_processes(args.processes)
-        folders = [args.out, args.out / "cache", *([] if args.docs is None else [args.docs / "paper"])]
-        for folder in folders:
-            check_writable(folder / "file")
-        scope = QUICK if args.quick else FULL
-        written = Reproduction(
-            scope=scope, folder=args.out, processes=args.processes, docs=args.docs, tick=progress.show
-        ).run()
-    except (CyclicLoopError, OSError) as error:
-        progress.clear()
-        print(f"reproduce_paper.py: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        progress.clear()
-        print("\nreproduce_paper.py: stopped; what was worked out is kept, and used next time.", file=sys.stderr)
-        return 130
-    progress.clear()
-    say(f"written: {written[0]}, and {len(written) - 1} figures and tables")
-    return 0
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.exit(main())
+    if not 1 <= args.processes <= PROCESSES_MAX:
+        raise ConfigError(f"--processes is {args.processes}; expected a whole number from 1 to {PROCESSES_MAX}.")
+    for folder in [args.out, *([] if args.docs is None else [args.docs / "paper"])]:
+        check_writable(folder / "file")
+    scope = PAPER_ALL if args.all else QUICK if args.quick else PAPER
+    with interruptible() as interruption:
+        written = Reproduction(scope=scope, folder=args.out, processes=args.processes, docs=args.docs).run()
+    if interruption:
+        raise interruption.stopped("finished runs are kept, and used next time.")
+    print(f"written: {written[0]}, and {len(written) - 1} figures and tables")

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import os
-import signal
-import sys
-from pathlib import Path
+if __name__ == "__main__":
+    from _cli import run_script
 
-if __name__ == "__main__":  # Ctrl-C while the packages load
-    signal.signal(
-        signal.SIGINT, lambda *_: (print("\nshow_plans.py: nothing done yet", file=sys.stderr), os._exit(130))
-    )
+    run_script(__file__)
 
 import argparse
 import json
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
-from cyclic_env import CyclicLoopError, FloorPlan, map_names
+from cyclic_env import FloorPlan, map_names
 from cyclic_env.analysis.perceptual_aliasing import perceptual_aliasing
 from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
-from cyclic_env.console import ProgressLine, say
 from cyclic_env.floor_plans import load_floor_plans
 from cyclic_env.jit import compile_notice
+from scripts._cli import command, interruptible, progress_bar
 
 FIGURE_DPI = 150
 EXAMPLES = """examples:
@@ -50,8 +46,9 @@ Measurement = tuple[Row, np.ndarray]
 """The measures of a plan, and its aliased places, `(n, 2)`."""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command; return its exit code: 0, 2 for bad input, 130 after Ctrl-C."""
+@command
+def main(arguments: Sequence[str] | None) -> None:
+    """Run the command."""
     parser = argparse.ArgumentParser(
         description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
     )
@@ -64,48 +61,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--out", type=Path, metavar="FILE", help="draw the plans, and mark their aliased places")
     parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to a file")
     args = parser.parse_args(arguments)
-    plans: list[FloorPlan] = []
+    if args.out:
+        from cyclic_env.rendering.figures import check_figure  # before the work, in case matplotlib is missing
+
+        check_figure(args.out)
+    check_outputs(filter(None, (args.out, args.json)), map(Path, args.names))
+    plans = list(load_floor_plans(args.names))
     measurements: list[Measurement] = []
-    code = 0
-    try:
-        if args.out:
-            from cyclic_env.rendering.figures import check_figure  # before the work, in case matplotlib is missing
-
-            check_figure(args.out)
-        check_outputs(filter(None, (args.out, args.json)), map(Path, args.names))
-        plans.extend(load_floor_plans(args.names))
-        measure_all(plans, measurements)
-    except (CyclicLoopError, OSError) as error:
-        print(f"show_plans.py: {error}", file=sys.stderr)
-        code = 2
-    except KeyboardInterrupt:
-        print(f"\nshow_plans.py: stopped after {len(measurements)} of {len(plans)} plans.", file=sys.stderr)
-        code = 130
-    if not measurements:
-        return code
-    try:
+    with interruptible() as interruption:
+        for i, plan in enumerate(plans, 1):
+            measurements.append(measured(plan, f"{i} of {len(plans)}, {plan.name}"))
+    if measurements:
         write(plans, measurements, args.json, args.out)
-    except OSError as error:
-        print(f"show_plans.py: can't write the files: {error}", file=sys.stderr)
-        return 2
-    except KeyboardInterrupt:
-        print("\nshow_plans.py: stopped; not all files were written.", file=sys.stderr)
-        return 130
-    return code
-
-
-def measure_all(plans: Sequence[FloorPlan], measurements: list[Measurement]) -> None:
-    """Add the measurements of plans to a list one by one, and show progress."""
-    progress = ProgressLine()
-    for i, plan in enumerate(plans):
-        done = f"{i} of {len(plans)} plans measured"
-        progress.show(f"{plan.name}: {done}")
-
-        def compared(count: int, total: int, text: str = f"places of {plan.name}, {done}") -> None:
-            progress.show(f"{count:,} of {total:,} {text}")
-
-        measurements.append(measured(plan, compared))
-    progress.clear()
+    if interruption:
+        raise interruption.stopped(f"{len(measurements)} of {len(plans)} plans are measured.")
 
 
 def write(
@@ -113,7 +82,7 @@ def write(
 ) -> None:
     """Print the table of the measured plans, and write the files that are asked for."""
     rows, aliased = zip(*measurements, strict=True)
-    say(table(rows))
+    print(table(rows))
     if json_file:
         write_text_atomically(json_file, json.dumps([row._asdict() for row in rows], indent=1) + "\n")
     if figure_file:
@@ -124,10 +93,15 @@ def write(
             figure.savefig(part, dpi=FIGURE_DPI)
 
 
-def measured(plan: FloorPlan, progress: Callable[[int, int], None] | None = None) -> Measurement:
-    """Measure a plan; `progress` is called with the number of places compared so far, and of all."""
-    with compile_notice():
-        result = perceptual_aliasing(plan, progress=progress)
+def measured(plan: FloorPlan, title: str) -> Measurement:
+    """Measure a plan, and show progress under the title."""
+    with compile_notice(), progress_bar(unit="place", desc=title) as progress:
+
+        def show(done: int, total: int) -> None:
+            progress.total = total
+            progress.update(done - progress.n)
+
+        result = perceptual_aliasing(plan, progress=show)
     tour = plan.closed_tour()
     row = Row(
         plan=plan.name,
@@ -157,9 +131,3 @@ def caption(row: Row) -> str:
     """Format the caption of a plan in the figure."""
     name = row.plan.replace(",", ", ").replace("generated:", "")
     return f"{name}\ncycles: {row.cycles}, {row.free_area:,.0f} m2, aliasing {row.aliasing:.2f}"
-
-
-if __name__ == "__main__":
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-    sys.stdout.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (names of any bytes)
-    sys.exit(main())

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from cyclic_env.evaluation.statistics import Evaluation
+
 ROOT = Path(__file__).parents[1]
 
 
@@ -25,6 +27,20 @@ def bumping_actions(steps: int, num_robots: int, seed: int = 0) -> np.ndarray:
     actions[..., :2] = drives
     actions[..., 2] = rng.choice([-1, -1, -1, 1], (steps, num_robots))
     return actions
+
+
+def record(**changes: Any) -> dict[str, Any]:
+    """Return the record of an episode, made up."""
+    base = {"seed": 0, "cycles_closed": 1, "cycles_total": 2, "false_claims": 3, "return": 4.0, "coverage": 0.5}
+    base |= {"is_success": False, "claims": 4, "revisits": 1, "revisits_recognised": 1}
+    return base | {"collisions": 0, "path_length_m": 10.0, "steps": 50} | changes
+
+
+def evaluation(*records: dict[str, Any], **changes: Any) -> Evaluation:
+    """Return an evaluation of these records, or one with other settings."""
+    settings: dict[str, Any] = {"agent": "someone", "map": "ring", "noise": "ideal", "action_type": "wheels"}
+    settings |= {"random_start": False, "seeds": tuple(range(len(records))), "episodes": list(records)}
+    return Evaluation(**settings | changes)
 
 
 def roll_out(env: Any, actions: np.ndarray, seed: int | None) -> list[tuple[Any, ...]]:

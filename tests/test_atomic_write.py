@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -73,13 +71,6 @@ def test_to_check_an_output_leaves_no_trace(tmp_path: Path) -> None:
     assert list((tmp_path / "new").iterdir()) == []
     with pytest.raises(ConfigError, match="written twice"):
         check_outputs([link, tmp_path / "later"])
-
-
-def test_what_cannot_be_printed_is_said_once_and_work_goes_on() -> None:
-    code = "from cyclic_env.console import say; say('lost'); say('too'); import sys; sys.stderr.write('done')"
-    with Path("/dev/full").open("w") as full:
-        run = subprocess.run([sys.executable, "-c", code], stdout=full, stderr=subprocess.PIPE, text=True, check=True)
-    assert run.stderr == "can't print: No space left on device; the rest is not shown.\ndone"
 
 
 def test_two_processes_that_write_one_file_leave_it_whole(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

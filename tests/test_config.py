@@ -20,7 +20,8 @@ from cyclic_env.config import NOISE_PRESETS, from_mapping, noise_from_name
         ({"noise": {"laser_sigm": 0.1}}, "Did you mean 'laser_sigma'"),
         ({"noise": {"laser_short": 0.6, "laser_max": 0.6}}, "at most 1"),
         ({"noise": {"laser_sigma": -1}}, "at least 0"),
-        ({"noise": []}, "expected a NoiseConfig or a mapping"),
+        ({"noise": 3}, "expected a NoiseConfig or a mapping"),
+        ({"noise": []}, "a noise preset, a NoiseConfig, or several"),
         ({"map_name": ()}, "EnvConfig.map_name"),
         ({"action_type": "wheel"}, "Did you mean 'wheels'"),
         ({"action_type": np.array(["wheels", "twist"])}, "unknown action type"),
@@ -60,7 +61,8 @@ def test_settings_survive_a_trip_through_plain_values() -> None:
 
 
 def test_noise_has_the_name_of_its_preset() -> None:
-    assert EnvConfig(noise="typical").sensor_noise == NOISE_PRESETS["typical"]
+    assert EnvConfig(noise="typical").sensor_noise == (NOISE_PRESETS["typical"],)
+    assert EnvConfig(noise=("ideal", "poor")).noise_name == "ideal+poor"
     assert EnvConfig(noise=NOISE_PRESETS["poor"]).noise_name == "poor"
     assert EnvConfig(noise=replace(noise_from_name("poor"), laser_sigma=0.5)).noise_name == "custom"
 

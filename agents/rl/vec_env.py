@@ -1,4 +1,4 @@
-"""Stable-Baselines3 on the native vector env: the environment as its `VecEnv`, and the features that it learns from."""
+"""The native vector env as a `VecEnv` of Stable-Baselines3."""
 
 from __future__ import annotations
 
@@ -9,20 +9,18 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-import torch
-from gymnasium import spaces
-from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
+from stable_baselines3.common.monitor import Monitor
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices
 
 from cyclic_env import CyclicLoopVectorEnv
 from cyclic_env.errors import UsageError
 
-ROW_METHODS = ("trajectory", "seen_cells")
+ROW_METHODS = ("trajectory", "claims", "seen_cells")
 """Methods of the vector env that take a row; here they are methods of each row, as of a single environment."""
-
-DISTANCE_SCALE = 200.0
-"""Metres of travel at which the feature tanh(distance / scale) is three quarters of its most: some laps of a block."""
+ROW_SPACES = ("action_space", "observation_space")
+ROW_SEQUENCES = ("np_random", "np_random_seed")
+"""Attributes of the vector env that have an item for each row."""
 
 
 class CyclicLoopVecEnv(VecEnv):
@@ -111,6 +109,10 @@ class CyclicLoopVecEnv(VecEnv):
             return [self.env.step_budget(row) for row in rows]
         if attr_name in ROW_METHODS:
             return [partial(getattr(self.env, attr_name), row) for row in rows]
+        if attr_name in ROW_SPACES:
+            return [getattr(self, attr_name) for _ in rows]
+        if attr_name in ROW_SEQUENCES:
+            return [getattr(self.env, attr_name)[row] for row in rows]
         return [getattr(self.env, attr_name) for _ in rows]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
@@ -128,7 +130,7 @@ class CyclicLoopVecEnv(VecEnv):
     def env_method(
         self, method_name: str, *method_args: Any, indices: VecEnvIndices = None, **method_kwargs: Any
     ) -> list[Any]:
-        """Call ``trajectory``, ``seen_cells`` or ``render`` of the rows asked for.
+        """Call ``trajectory``, ``claims``, ``seen_cells`` or ``render`` of the rows asked for.
 
         Raises
         ------
@@ -144,8 +146,8 @@ class CyclicLoopVecEnv(VecEnv):
         return [getattr(self.env, method_name)(row, *method_args, **method_kwargs) for row in rows]
 
     def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """Tell that no row is wrapped in anything."""
-        return [False for _ in self._get_indices(indices)]
+        """Tell that no row is wrapped in anything but, to what its infos say, a `Monitor`."""
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:
         """Return a picture of every row."""
@@ -159,36 +161,3 @@ def _row_info(infos: dict[str, Any], row: int) -> dict[str, Any]:
         for name, values in infos.items()
         if not name.startswith("_") and name not in ("final_obs", "final_info")
     }
-
-
-class ScanFeatures(BaseFeaturesExtractor):
-    """What a network learns from: the observation, every number of it about as large as the others.
-
-    The ranges are shares of the laser's reach. The distance, which has no bound, is tanh(distance / `DISTANCE_SCALE`).
-    The compass is a unit vector already. It is part of the policy, and saved with it: so a model takes observations as
-    they come from the environment, in any harness.
-
-    Parameters
-    ----------
-    observation_space : Dict
-        Of `CyclicLoopEnv`.
-    """
-
-    def __init__(self, observation_space: spaces.Dict) -> None:
-        super().__init__(
-            observation_space, features_dim=sum(spaces.flatdim(space) for space in observation_space.values())
-        )
-        laser = observation_space["laser"]
-        assert isinstance(laser, spaces.Box)
-        self.range_max = float(laser.high.max())
-
-    def forward(self, observations: dict[str, torch.Tensor]) -> torch.Tensor:
-        """Return the features, `(N, beams + 3)`."""
-        return torch.cat(
-            [
-                observations["laser"] / self.range_max,
-                torch.tanh(observations["distance"] / DISTANCE_SCALE),
-                observations["compass"],
-            ],
-            dim=1,
-        )

@@ -21,7 +21,7 @@ from cyclic_env.config import DISTANCE_MAX, EnvConfig
 from cyclic_env.engine.actions import check_actions, decode_actions
 from cyclic_env.engine.building import add_plan, make_buildings, make_episodes, step_budget
 from cyclic_env.engine.kernels import begin_episode, judge_rows, wrap_angle
-from cyclic_env.engine.stage_timer import NoTimer, Timer
+from cyclic_env.engine.stage_timer import NoTimer
 from cyclic_env.errors import ConfigError, FloorPlanError, UsageError
 from cyclic_env.floor_plans import FloorPlan, PlanPool
 from cyclic_env.floor_plans.floor_plan import Pose
@@ -73,7 +73,7 @@ class Engine:
         self.config = config
         self.plans = plans
         self.num_robots = num_robots
-        self.timer: Timer = NoTimer()
+        self.timer = NoTimer()
         self._num_threads = num_threads or num_cores()
         self._reachable: dict[int, shapely.Polygon] = {}  # by the index of the plan in the pool
         for index, plan in plans.loaded.items():

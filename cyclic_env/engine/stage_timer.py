@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import time
 from collections import defaultdict
-from typing import Protocol
 
 
-class Timer(Protocol):
-    """What the engine tells about the stages of its steps."""
+class NoTimer:
+    """Measures nothing; the engine has one unless somebody asks for a `StageTimer`."""
 
     def start(self) -> None:
         """Begin the first of several stages."""
@@ -17,17 +16,7 @@ class Timer(Protocol):
         """End a stage, and begin the next one."""
 
 
-class NoTimer:
-    """Measures nothing, and so costs nothing."""
-
-    def start(self) -> None:
-        """Do nothing."""
-
-    def lap(self, stage: str) -> None:
-        """Do nothing."""
-
-
-class StageTimer:
+class StageTimer(NoTimer):
     """Adds up the seconds that each stage of a step takes, in an environment that uses one thread.
 
     Attributes
@@ -40,12 +29,10 @@ class StageTimer:
         self.seconds: defaultdict[str, float] = defaultdict(float)
         self._last = time.perf_counter()
 
-    def start(self) -> None:
-        """Begin the first of several stages."""
+    def start(self) -> None:  # noqa: D102 (see the base class)
         self._last = time.perf_counter()
 
-    def lap(self, stage: str) -> None:
-        """End a stage, and begin the next one."""
+    def lap(self, stage: str) -> None:  # noqa: D102
         now = time.perf_counter()
         self.seconds[stage] += now - self._last
         self._last = now

@@ -192,14 +192,14 @@ def _thinned(trajectory: np.ndarray) -> np.ndarray:
     return trajectory[np.append(np.flatnonzero(np.diff(passed, prepend=-1.0)), len(trajectory) - 1)]
 
 
-def write_number(axes: Axes, text: str, position: np.ndarray, colour: Color, size: float, zorder: float) -> None:
+def write_number(axes: Axes, text: str, position: np.ndarray, color: Color, size: float, zorder: float) -> None:
     """Write a short text centered on a position, metres."""
     axes.text(
         position[0],
         position[1],
         text,
         fontsize=size,
-        color=rgb(colour),
+        color=rgb(color),
         ha="center",
         va="center_baseline",
         zorder=zorder,
@@ -213,7 +213,7 @@ def _draw_building(axes: Axes, plan: FloorPlan, linewidth: float) -> None:
     axes.add_patch(PathPatch(outline, facecolor=rgb(FLOOR), edgecolor=rgb(WALL), linewidth=linewidth, zorder=1))
 
 
-def rgb(colour: Color) -> tuple[float, float, float]:
+def rgb(color: Color) -> tuple[float, float, float]:
     """Return a color as Matplotlib has it."""
-    red, green, blue = colour
+    red, green, blue = color
     return red / 255, green / 255, blue / 255

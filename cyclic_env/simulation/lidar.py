@@ -128,8 +128,10 @@ def _beam_at(x, y, beams):
 
 
 @inlined
-def _draw_wall(x1, y1, x2, y2, ux, uy, low, high, inverse):
-    """Draw the wall from (x1, y1) to (x2, y2) into beams `low` to `high`: each keeps its largest inverse range."""
+def _draw_wall(wall, beams, low, high, inverse):
+    """Draw a wall (x1, y1, x2, y2) into beams `low` to `high`: each keeps its largest inverse range."""
+    x1, y1, x2, y2 = wall
+    ux, uy = beams.directions[0], beams.directions[1]
     ex, ey = x2 - x1, y2 - y1
     area = x1 * y2 - x2 * y1
     while low <= high and x1 * uy[low] - y1 * ux[low] < -TOUCH:
@@ -169,7 +171,6 @@ def scan_row(tiles, plan, x, y, heading, beams, inverse, ranges):
         Written to, metres.
     """
     num_beams, range_max = ranges.shape[0], beams.range_max
-    ux, uy = beams.directions[0], beams.directions[1]
     cos, sin = math.cos(heading), math.sin(heading)
     slack = ANGLE_ERROR * beams.per_radian
     inverse[:] = 1.0 / range_max
@@ -192,11 +193,12 @@ def scan_row(tiles, plan, x, y, heading, beams, inverse, ranges):
         elif last - first > 0.5 * beams.per_turn:
             last -= beams.per_turn
         low, high = math.ceil(first - slack), math.floor(last + slack)
+        seen = (x1, y1, x2, y2)
         if beams.sees_all_around:
-            _draw_wall(x1, y1, x2, y2, ux, uy, low, high, inverse)
+            _draw_wall(seen, beams, low, high, inverse)
         else:  # a wall across the gap between the last beam and beam 0 can be seen at both edges
-            _draw_wall(x1, y1, x2, y2, ux, uy, low, min(high, num_beams - 1), inverse)
+            _draw_wall(seen, beams, low, min(high, num_beams - 1), inverse)
             high = math.floor(last - beams.per_turn + slack)
-            _draw_wall(x1, y1, x2, y2, ux, uy, 0, min(high, num_beams - 1), inverse)
+            _draw_wall(seen, beams, 0, min(high, num_beams - 1), inverse)
     for beam in range(num_beams):
         ranges[beam] = 1.0 / max(inverse[beam], inverse[beam + num_beams])

@@ -64,6 +64,7 @@ class Scope:
 
 
 PAPER = Scope()
+QUICK = Scope(starts=5, maps=("ring", "figure_eight", "twin_rings", "grid"), laps=3, repeats=20)
 PAPER_ALL = Scope(variations=5, noise_scales=(0.0, 0.125, 0.25, 0.5, 0.75, 1.0))
 
 

@@ -129,13 +129,17 @@ def algorithm() -> Figure:
     d.arrow((left + 1.7, row[4]), (right - 1.72, row[4]), label="yes", beside=(0.1, 0.1))
     d.arrow((left, row[4] - 0.48), (left, row[6] + 0.25), label="no", beside=(0.08, -0.2))
     west = left - 2.05
-    d.arrow((left - 1.7, row[3]), (west, row[3]), (west, row[6]), (left - 1.72, row[6]), label="no", beside=(-0.3, 0.12))
+    d.arrow(
+        (left - 1.7, row[3]), (west, row[3]), (west, row[6]), (left - 1.72, row[6]), label="no", beside=(-0.3, 0.12)
+    )
     d.arrow((right, row[4] - 0.25), (right, row[5] + 0.48))
     middle = (left + right) / 2 + 0.3
     d.arrow((left + 1.72, row[6]), (middle, row[6]), (middle, row[5]), (right - 1.3, row[5]), label="it ends")
     d.arrow((right, row[5] - 0.48), (right, row[6] + 0.2), label="yes", beside=(0.08, -0.1))
     east = right + 1.8
-    d.arrow((right + 1.3, row[5]), (east, row[5]), (east, row[3]), (right + 1.47, row[3]), label="no", beside=(0.1, 0.12))
+    d.arrow(
+        (right + 1.3, row[5]), (east, row[5]), (east, row[3]), (right + 1.47, row[3]), label="no", beside=(0.1, 0.12)
+    )
     d.axes.text(left, 0.25, "and sense again", ha="center", fontsize=8, color="#333333", style="italic")
     d.axes.text(right, row[3] + 0.36, "and sense again", ha="center", fontsize=8, color="#333333", style="italic")
     return d.figure
@@ -146,7 +150,9 @@ def start(record: RunRecord) -> Figure:
     plan, config = load_floor_plan(record.settings.map), record.settings.config
     x, y, heading = plan.start
     figure, axes = plan_figure(
-        plan, "The start", f"laser: {record.beams.shape[1]} beams, {config.range_max:g} m; numbers: the 7 sectors, metres"
+        plan,
+        "The start",
+        f"laser: {record.beams.shape[1]} beams, {config.range_max:g} m; numbers: the 7 sectors, metres",
     )
     angles = heading + np.arange(record.beams.shape[1]) * 2 * np.pi / record.beams.shape[1]
     ranges = record.beams[0] * BEAM_ROUNDING

@@ -1,8 +1,8 @@
 """Place recognition on rows that are driven twice: what each way of searching finds, against the truth.
 
-A *query* is a row of the second lap. Its candidates are the rows of the first lap, which were all driven at least one lap
-ago. An answer is right if a claim of it would be judged correct (`cyclic_env.task.loop_closure`). Every number is first
-worked out for one plan; intervals are over plans.
+A *query* is a row of the second lap, and its candidates are the rows of the first lap. An answer is right if a claim
+of it would be judged correct (`cyclic_env.task.loop_closure`). Every number is of one plan at first; intervals are
+over plans.
 """
 
 from __future__ import annotations

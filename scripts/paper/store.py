@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import Any
 
 from joblib import Memory, Parallel, delayed, parallel_config
-from tqdm import tqdm
 
 from cyclic_env import __version__
+from scripts._cli import progress_bar
 from scripts.paper.runs import RunRecord, RunSettings, run_explorer
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -33,7 +33,7 @@ def code_version() -> str:
     return f"{__version__}-{digest.hexdigest()[:12]}"
 
 
-def _run(settings: RunSettings, code: str) -> RunRecord:  # noqa: ARG001 (part of the key)
+def _run(settings: RunSettings, code: str) -> RunRecord:
     return run_explorer(settings)
 
 
@@ -68,12 +68,19 @@ class Store:
     def run_all(self, runs: Sequence[RunSettings]) -> None:
         """Run what is missing, several at once, with progress on stderr. Finished runs survive an interrupt."""
         code, left = code_version(), self.missing(runs)
-        with parallel_config("loky", n_jobs=self.processes, initializer=_ignore_interrupts):
-            jobs: Iterator[Any] = Parallel(return_as="generator_unordered")(
-                delayed(self._run.call)(settings, code) for settings in left
+        with (
+            parallel_config("loky", n_jobs=self.processes, initializer=_ignore_interrupts),
+            progress_bar(total=len(runs), unit="run", initial=len(runs) - len(left)) as progress,
+        ):
+            finished: Iterator[Any] = Parallel(return_as="generator_unordered")(
+                delayed(_keep)(self._run, settings, code) for settings in left
             )
-            for _ in tqdm(jobs, "runs", len(runs), initial=len(runs) - len(left), unit="run"):
-                pass
+            for _ in finished:
+                progress.update()
+
+
+def _keep(run: Any, settings: RunSettings, code: str) -> None:
+    run(settings, code)
 
 
 def _ignore_interrupts() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 from functools import partial
@@ -15,19 +16,15 @@ import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import SubprocVecEnv, VecMonitor
+from tqdm import tqdm
 
 from agents import make_agent
-from agents.rl.training import (
-    MODEL,
-    PROGRESS,
-    SETTINGS,
-    TrainingSettings,
-    load_trained,
-    train,
-)
-from agents.rl.vec_env import CyclicLoopVecEnv, ScanFeatures
+from agents.rl.features import ScanFeatures
+from agents.rl.settings import TrainingSettings
+from agents.rl.storage import MODEL, PROGRESS, SETTINGS, load_trained
+from agents.rl.training import train
+from agents.rl.vec_env import CyclicLoopVecEnv
 from cyclic_env import ConfigError, CyclicLoopEnv, UsageError
-from cyclic_env.console import ProgressLine
 from cyclic_env.evaluation.rollout import evaluate
 
 ROOT = Path(__file__).parents[2]
@@ -140,6 +137,14 @@ def test_attributes_and_methods_are_those_of_the_rows() -> None:
     assert venv.has_attr("seen_cells")
     assert not venv.has_attr("action_masks")
     assert venv.env_is_wrapped(gymnasium.Wrapper) == [False, False]
+    single = CyclicLoopEnv("ring")
+    single.reset()
+    assert venv.get_attr("action_space") == [single.action_space] * 2
+    assert venv.get_attr("observation_space") == [single.observation_space] * 2
+    first, second = venv.get_attr("np_random")
+    assert isinstance(first, np.random.Generator)
+    assert first is not second
+    assert [claims.shape for claims in venv.env_method("claims")] == [claims.shape for claims in [single.claims()] * 2]
     venv.set_attr("note", "hello")
     assert venv.get_attr("note") == ["hello", "hello"]
     with pytest.raises(UsageError, match="rows share"):
@@ -164,6 +169,7 @@ def test_pictures_come_from_every_row() -> None:
     venv.close()
 
 
+@pytest.mark.filterwarnings("ignore:The environment is already wrapped")
 def test_vec_monitor_counts_the_same_episodes(tmp_path: Path) -> None:
     keys = ("cycles_closed", "false_claims")
     venv = VecMonitor(
@@ -249,10 +255,9 @@ def test_training_writes_a_model_its_settings_and_its_episodes(run: Path) -> Non
 )
 def test_training_changes_the_parameters_by_a_finite_loss(algo: str, action_type: Any, tmp_path: Path) -> None:
     settings = TrainingSettings(algo=algo, action_type=action_type, num_envs=4)
-    train(settings, steps=1, out=tmp_path, progress=False)
+    train(settings, steps=1, out=tmp_path)
     before = {name: value.clone() for name, value in load_trained(tmp_path).model.policy.state_dict().items()}
-    model, complete = train(settings, steps=600 if algo == "ppo" else 200, out=tmp_path, resume=True, progress=False)
-    assert complete
+    model = train(settings, steps=600 if algo == "ppo" else 200, out=tmp_path, resume=True)
     losses = {name: value for name, value in model.logger.name_to_value.items() if "loss" in name}
     assert losses
     assert all(np.isfinite(value) for value in losses.values())
@@ -262,7 +267,7 @@ def test_training_changes_the_parameters_by_a_finite_loss(algo: str, action_type
 
 
 def test_loaded_model_predicts_what_the_saved_one_did(tmp_path: Path) -> None:
-    model, _ = train(TrainingSettings(), steps=100, out=tmp_path, progress=False)
+    model = train(TrainingSettings(), steps=100, out=tmp_path)
     loaded = load_trained(tmp_path)
     venv = CyclicLoopVecEnv(4, map_name="ring", noise="typical")
     observation = venv.reset()
@@ -275,7 +280,7 @@ def test_loaded_model_predicts_what_the_saved_one_did(tmp_path: Path) -> None:
 
 def test_same_seed_trains_the_same_model(tmp_path: Path) -> None:
     models = [
-        train(TrainingSettings(seed=seed, num_envs=4), steps=600, out=tmp_path / name, progress=False)[0]
+        train(TrainingSettings(seed=seed, num_envs=4), steps=600, out=tmp_path / name)
         for name, seed in (("first", 1), ("second", 1), ("third", 2))
     ]
     first, second, third = [torch.nn.utils.parameters_to_vector(model.policy.parameters()) for model in models]
@@ -287,7 +292,7 @@ def test_evaluate_policy_and_our_harness_agree_on_a_model(run: Path) -> None:
     model = load_trained(run).model
     venv = CyclicLoopVecEnv(1, map_name="ring", step_budget=100)
     venv.seed(0)
-    mean, _ = evaluate_policy(model, venv, 2, warn=False)
+    mean, _ = evaluate_policy(model, venv, 2)
     ours = evaluate(model, seeds=[0], map_name="ring", step_budget=100)
     assert ours.episodes[0]["return"] == pytest.approx(mean, rel=1e-4)
     venv.close()
@@ -297,34 +302,43 @@ def test_checkpoints_are_written_on_the_way(tmp_path: Path, monkeypatch: pytest.
     saved = []
     real = PPO.save
     monkeypatch.setattr(PPO, "save", lambda self, path: (saved.append(self.num_timesteps), real(self, path)))
-    train(TrainingSettings(num_envs=4), steps=1000, out=tmp_path, progress=False, save_every=400)
+    train(TrainingSettings(num_envs=4), steps=1000, out=tmp_path, save_every=400)
     assert saved == [0, 400, 800, 1024]
 
 
-def test_training_says_where_it_will_end_and_how_far_it_is(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("algo", "end"), [("ppo", 512), ("a2c", 128), ("sac", 104)])
+def test_training_shows_where_it_will_end_and_how_far_it_is(
+    algo: str, end: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("cyclic_env.console.REPORT_S", 0.0)
-    model, _ = train(TrainingSettings(num_envs=4, step_budget=200), steps=900, out=tmp_path)
-    first, *lines = capsys.readouterr().err.splitlines()
-    assert model.num_timesteps == 1024
-    assert "until step 1,024 (900 rounded up to whole updates)" in first
-    assert "the first by step 800" in first
-    assert any("% of 1,024 steps" in line and "no episode has ended yet" in line for line in lines)
-    assert lines[-1].startswith("100% of 1,024 steps")
-    assert "0.00 cycles, " in lines[-1]
-    assert "(last 4)" in lines[-1]
+    with tqdm(file=io.StringIO()) as progress:
+        model = train(
+            TrainingSettings(algo=algo, num_envs=4, step_budget=25), steps=101, out=tmp_path, progress=progress
+        )
+    assert model.num_timesteps == progress.n == progress.total == end
+    assert "0.00 cycles, " in str(progress)
+    said = capsys.readouterr().err
+    assert f"until step {end}" in said
+    assert "the first by step 100" in said
 
 
-@pytest.mark.parametrize(("algo", "end"), [("a2c", 128), ("sac", 104)])
-def test_other_algorithms_end_where_they_say(
-    algo: str, end: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(ProgressLine, "show", lambda self, text: shown.append(text))
-    shown: list[str] = []
-    model, _ = train(TrainingSettings(algo=algo, num_envs=4), steps=101, out=tmp_path)
-    assert model.num_timesteps == end
-    assert f" of {end} steps" in shown[-1]
+def test_a_pool_whose_plans_are_yet_to_be_drawn_can_be_trained_on(tmp_path: Path) -> None:
+    settings = TrainingSettings(map_name=("generated:train",), num_envs=2, algo="a2c")
+    with tqdm(file=io.StringIO()) as progress:
+        train(settings, steps=1, out=tmp_path, progress=progress)
+
+
+def test_a_resumed_training_forgets_the_episodes_behind_its_checkpoint(tmp_path: Path) -> None:
+    settings = TrainingSettings(num_envs=4, step_budget=30, algo="a2c")
+    train(settings, steps=256, out=tmp_path)
+    before = (tmp_path / PROGRESS).read_text()
+    with (tmp_path / PROGRESS).open("a") as file:
+        file.write("300,0,0,1.5,30,0.2,0,False\n3")  # of steps that were lost, the last of them cut off
+    train(settings, steps=512, out=tmp_path, resume=True)
+    lines = (tmp_path / PROGRESS).read_text().splitlines()
+    assert lines[: before.count("\n")] == before.splitlines()
+    steps = [int(line.split(",")[0]) for line in lines[1:]]
+    assert steps == sorted(steps)
+    assert "300,0,0,1.5,30,0.2,0,False" not in lines
 
 
 def test_episodes_are_in_the_file_as_soon_as_they_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -335,7 +349,7 @@ def test_episodes_are_in_the_file_as_soon_as_they_end(tmp_path: Path, monkeypatc
         learn(self)
 
     monkeypatch.setattr(PPO, "train", counting)
-    train(TrainingSettings(num_envs=4, step_budget=100), steps=1024, out=tmp_path, progress=False)
+    train(TrainingSettings(num_envs=4, step_budget=100), steps=1024, out=tmp_path)
     assert seen == [1 + 4, 1 + 8]
 
 

@@ -287,8 +287,8 @@ def test_rows_left_out_of_a_step_draw_nothing_and_ended_ones_may_wait_for_their_
         expected, *_ = alone.step(actions[:1])
         if step < 2:
             some.step(actions, active=np.array([False, True]))
-    for _ in range(4):
-        observation, rewards, *_ = some.step(actions, active=np.array([True, False]))
+    steps = [some.step(actions, active=np.array([True, False])) for _ in range(4)]
+    observation, rewards, *_ = steps[-1]
     assert all((observation[name][0] == expected[name][0]).all() for name in expected)
     assert (rewards[0], rewards[1]) != (0, 0)
     assert rewards[1] == 0

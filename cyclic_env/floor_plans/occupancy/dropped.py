@@ -54,11 +54,11 @@ def dropped_places(part: CroppedGrid, space: np.ndarray, glimpses: np.ndarray) -
     grid, free, corner = part
     labels, _ = ndimage.label(free & ~space)
     sizes = np.bincount(labels.ravel())
-    sizes[0] = 0
-    boxes = ndimage.find_objects(labels)
+    large = 1 + np.flatnonzero(sizes[1:] >= AREA_MIN / grid.resolution**2)
+    rank = np.zeros(len(sizes), np.int32)
+    rank[large] = 1 + np.arange(len(large))
     places = []
-    for label in np.flatnonzero(sizes >= AREA_MIN / grid.resolution**2):
-        rows, columns = boxes[label - 1]
+    for label, (rows, columns) in zip(large, ndimage.find_objects(rank[labels]), strict=True):
         low, high = np.add(corner, (rows.start, columns.start)), np.add(corner, (rows.stop, columns.stop))
         if low.min() <= 0 or (high >= grid.cells.shape).any():
             continue

@@ -180,10 +180,12 @@ def drop_glimpses(centres: np.ndarray, part: CroppedGrid, radius: float, door: f
     glimpse = walls < 0.5
     largest = 1 + int(np.argmax(np.bincount(places.ravel())[1:]))
     home = largest if start is None else int(places[part.cell(start)])
-    if glimpse[home]:
+    if glimpse[home] or not glimpse.any():
         return centres
     pairs = _neighbours(places)
     kept = _on_the_way(pairs, glimpse, home, count_wide)
+    if kept[1:].all():
+        return centres
     small = np.bincount(places.ravel(), minlength=count + 1) < (2 * door - 2 * radius) ** 2  # two doors square
     through = (np.arange(count + 1) > count_wide) | (walls >= BOUNDED_SHARE) | small
     return (kept | _joining(places, pairs, kept, through))[places]
@@ -248,9 +250,11 @@ def _joining(places: np.ndarray, pairs: np.ndarray, kept: np.ndarray, through: n
     """
     import networkx as nx
 
-    other = through & ~kept
-    other[0] = False
-    contact = other[places] & dilated(kept[places] & (places > 0), 1.1)
+    kept, other = kept.copy(), through & ~kept
+    kept[0] = other[0] = False
+    if not (kept[pairs[0]] & other[pairs[1]]).any():
+        return other & kept
+    contact = other[places] & dilated(kept[places], 1.1)
     stretches = ndimage.label(dilated(contact, NEAR), CONNECTED_8)[0]
     graph = nx.Graph(pairs[:, other[pairs].all(axis=0)].T.tolist())
     for place, stretch in np.unique(np.stack([places[contact], stretches[contact]], axis=1), axis=0).tolist():

@@ -10,7 +10,7 @@ between two walls, they are joined.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +46,19 @@ HEADINGS = 72
 """Number of headings among which that of the start is chosen."""
 
 
+STAGES = ("dropping specks", "what the robot reaches", "what was only looked into", "growing to the walls", "outline")
+
+
+class _Sizes(NamedTuple):
+    """The arguments of `trace_floor_plan` that say what is traced for which robot, metres and square metres."""
+
+    robot_radius: float
+    gap: float
+    nook_area: float
+    door: float
+    tolerance: float
+
+
 class Tracing(NamedTuple):
     """A floor plan traced from a grid, and what was left out of it.
 
@@ -77,6 +90,7 @@ def trace_floor_plan(
     nook_area: float = 0.5,
     door: float = 1.2,
     tolerance: float | None = None,
+    progress: Callable[[str], None] = lambda stage: None,
 ) -> Tracing:
     """Trace the floor plan of an occupancy grid such that a robot passes everywhere in it.
 
@@ -102,11 +116,13 @@ def trace_floor_plan(
         size. What is larger lies behind a window or a door that is too narrow, and is closed.
     door : float
         Metres. A place behind an opening narrower than this that ends in unknown space rather than at walls was only
-        looked into, through a window or a door. It is closed, unless it is on the way to a place with walls. 0 keeps
-        all such places.
+        looked into, through a window or a door. It is closed, unless it is on the way to a place with walls or joins
+        such places. 0 keeps all such places.
     tolerance : float, optional
         Metres by which simplified walls may differ from the sides of cells; by default 1.5 cells. It is halved where
         the robot would otherwise not pass.
+    progress : callable
+        Called at the beginning of each stage with what it does; see `STAGES`.
 
     Raises
     ------
@@ -116,8 +132,8 @@ def trace_floor_plan(
     side = grid.resolution
     tolerance = 1.5 * side if tolerance is None else tolerance
     start = grid.start if start is None else start
-    sizes = {"robot_radius": robot_radius, "speck_area": speck_area, "gap": gap, "nook_area": nook_area, "door": door}
-    _check_arguments(sizes | {"tolerance": tolerance}, start)
+    sizes = _Sizes(robot_radius, gap, nook_area, door, tolerance)
+    _check_arguments(sizes._asdict() | {"speck_area": speck_area}, start)
     if not grid.free.any():
         raise FloorPlanError("the map has no free cell; are the thresholds right, and negate?")
     if 2 * robot_radius > side * min(grid.cells.shape):
@@ -125,16 +141,18 @@ def trace_floor_plan(
     with compile_notice():
         grow_back(np.ones((3, 3), bool), np.ones((3, 3), bool), 1.0, 1.0, 1.0)
     part = crop(grid)
+    progress(STAGES[0])
     specks, speck_cells = drop_specks(part.free, speck_area / side**2, robot_radius / side + CLEARANCE)
     with_pockets: Tracing | None = None
     problems: list[FloorPlanError] = []
     try:
-        for outline, space, glimpses in _outlines(part, start, robot_radius, gap, nook_area, door, tolerance):
+        for outline, space, glimpses in _outlines(part, start, sizes, progress):
+            progress(STAGES[4])
             dropped = side**2 * int(np.count_nonzero(part.free) - np.count_nonzero(space))
             for share in (1.0, 0.5):
                 polygon = simplify_outline(outline, share * tolerance / side, grid)
                 try:
-                    plan = _plan(grid, polygon, start)
+                    plan = _plan(grid, polygon, start, robot_radius)
                     home = plan.reachable(robot_radius)
                 except FloorPlanError as error:
                     problems.append(error)
@@ -162,27 +180,24 @@ def _check_arguments(sizes: Mapping[str, float], start: Pose | None) -> None:
 
 
 def _outlines(
-    part: CroppedGrid,
-    start: Pose | None,
-    robot_radius: float,
-    gap: float,
-    nook_area: float,
-    door: float,
-    tolerance: float,
+    part: CroppedGrid, start: Pose | None, sizes: _Sizes, progress: Callable[[str], None]
 ) -> Iterator[tuple[Polygon, np.ndarray, np.ndarray]]:
     """Yield the outline and the cells of the space that a robot reaches, and the glimpses, for an ever larger robot."""
     side = part.grid.resolution
     for i in range(ROUNDS):
-        radius = robot_radius / side + CLEARANCE + i / (ROUNDS - 1) * (1 + tolerance / side)
+        radius = sizes.robot_radius / side + CLEARANCE + i / (ROUNDS - 1) * (1 + sizes.tolerance / side)
+        progress(STAGES[1])
         reachable = reachable_centres(part, radius, start)
-        centres = drop_glimpses(reachable, part, radius, door / side, start)
-        space = grow_back(centres, part.free, radius, gap / side, nook_area / side**2)
+        progress(STAGES[2])
+        centres = drop_glimpses(reachable, part, radius, sizes.door / side, start)
+        progress(STAGES[3])
+        space = grow_back(centres, part.free, radius, sizes.gap / side, sizes.nook_area / side**2)
         yield trace_outline(space, part.corner), space, reachable & ~centres
 
 
-def _plan(grid: OccupancyGrid, polygon: Polygon, start: Pose | None) -> FloorPlan:
+def _plan(grid: OccupancyGrid, polygon: Polygon, start: Pose | None, robot_radius: float) -> FloorPlan:
     start = _roomiest(polygon, grid.resolution) if start is None else start
-    return FloorPlan(grid.name, polygon, start, grid.title, grid.source, grid.licence)
+    return FloorPlan(grid.name, polygon, start, grid.title, grid.source, grid.licence, robot_radius=robot_radius)
 
 
 def _roomiest(polygon: Polygon, precision: float) -> Pose:

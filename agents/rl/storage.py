@@ -1,0 +1,194 @@
+"""Models and their settings in files.
+
+A training run is a folder: ``model.zip``, which holds its settings too; ``settings.json``, a copy of these for people,
+with the steps done and the versions of all packages; and ``progress.csv``, a line for each training episode.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import platform
+import zipfile
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+from stable_baselines3.common.base_class import BaseAlgorithm
+
+import cyclic_env
+from agents.rl.settings import ALGORITHMS, TrainingSettings, training_settings
+from cyclic_env.atomic_write import atomic_write, check_writable, write_text_atomically
+from cyclic_env.errors import ConfigError
+
+MODEL, SETTINGS, PROGRESS = "model.zip", "settings.json", "progress.csv"
+STORED = "training_settings"
+"""Attribute of a model that holds its settings, so that they are saved with it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrainedModel:
+    """A model, and what it was trained with; None for a model that is not from `train`."""
+
+    model: BaseAlgorithm
+    settings: TrainingSettings | None
+
+
+def save(model: BaseAlgorithm, settings: TrainingSettings, out: Path) -> None:
+    """Write the model and its settings; a model that is there is replaced only when the new one is complete."""
+    vars(model)[STORED] = asdict(settings)
+    buffer = io.BytesIO()  # so that a full disk is met by one write, with an error that names the file
+    model.save(buffer)
+    with atomic_write(out / MODEL) as part:
+        part.write_bytes(buffer.getvalue())
+    packages = {"cyclic-loop": cyclic_env.__version__, "python": platform.python_version()}
+    for package in ("gymnasium", "numpy", "pymunk", "stable-baselines3", "torch"):
+        try:
+            packages[package] = version(package)
+        except PackageNotFoundError:
+            packages[package] = "unknown"
+    text = json.dumps({**asdict(settings), "steps": model.num_timesteps, "versions": packages}, indent=2)
+    write_text_atomically(out / SETTINGS, text + "\n")
+
+
+def steps_done(out: Path) -> int:
+    """Return how many steps the model of a training run has been trained for; 0 if there is none."""
+    try:
+        return json.loads((out / SETTINGS).read_text(encoding="utf-8"))["steps"]
+    except OSError:
+        return 0
+
+
+def resumed_settings(out: Path, given: Mapping[str, Any]) -> TrainingSettings:
+    """Return the settings of the training run in a folder.
+
+    Raises
+    ------
+    ConfigError
+        If there is no run, or any of the `given` fields (as `training_settings` takes them) differ from its own.
+    """
+    if not (out / MODEL).is_file():
+        raise ConfigError(f"there is no {MODEL} in {out} to resume from; leave out --resume to begin.")
+    settings = stored_settings(out / MODEL)
+    if settings is None:
+        raise ConfigError(f"{out / MODEL} was not made by scripts/train.py, so it can't be resumed; use another --out.")
+    asked = training_settings(given)
+    for name in given:
+        own, wanted = getattr(settings, name), getattr(asked, name)
+        if own != wanted:
+            raise ConfigError(f"{out} was begun with {name} {own!r}, not {wanted!r}; leave it out to resume.")
+    return settings
+
+
+def load_trained(path: Path) -> TrainedModel:
+    """Return the model of a zip, or of the folder of a training run.
+
+    Raises
+    ------
+    ConfigError
+        If there is none, or it is no model of a known algorithm.
+    """
+    zip_path = path / MODEL if path.is_dir() else path
+    return TrainedModel(model=load_model(zip_path), settings=stored_settings(zip_path))
+
+
+def stored_settings(path: Path) -> TrainingSettings | None:
+    """Return the settings that a model was trained with, which are in its zip; None if it is not from `train`.
+
+    Raises
+    ------
+    ConfigError
+        If the zip is no model, or the `SETTINGS` beside it say something else: someone changed them.
+    """
+    stored = _stored_data(path).get(STORED)
+    if stored is None:
+        return None
+    copy = path.with_name(SETTINGS)
+    if path.name == MODEL and copy.exists():
+        try:
+            entries = json.loads(copy.read_text(encoding="utf-8"))
+            changed = [name for name in stored if entries[name] != stored[name]]
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise ConfigError(f"{copy} is not as scripts/train.py wrote it; put it back, or delete it.") from error
+        for name in changed:
+            raise ConfigError(
+                f"{copy} says {name} {entries[name]!r}, but the model was trained with {stored[name]!r}; put that back."
+            )
+    try:
+        return TrainingSettings(**{**stored, "map_name": tuple(stored["map_name"])})
+    except (KeyError, TypeError) as error:
+        raise ConfigError(f"{path} was trained with another version, or is damaged: {error!r}.") from error
+
+
+def check_fits(path: Path, model: BaseAlgorithm, observations: gymnasium.Space, actions: gymnasium.Space) -> None:
+    """Check that the model takes the env's observations, and the env the model's actions.
+
+    Raises
+    ------
+    ConfigError
+        If they don't.
+    """
+    for kind, own, its in (
+        ("observations", model.observation_space, observations),
+        ("actions", model.action_space, actions),
+    ):
+        if own != its:
+            raise ConfigError(f"{path} does not fit the environment: its {kind} are {own}, the environment's {its}.")
+
+
+def load_model(path: Path) -> BaseAlgorithm:
+    """Return the model in a zip.
+
+    Raises
+    ------
+    ConfigError
+        If it is none, or damaged.
+    """
+    algo = _algorithm_of(path)
+    try:
+        return ALGORITHMS[algo].load(path, device="cpu")
+    except Exception as error:  # whatever unpickling meets in a file that is no model, or a damaged one
+        raise ConfigError(f"{path} can't be loaded as a model of {algo}: {error!r}.") from error
+
+
+def _algorithm_of(path: Path) -> str:
+    """Tell the algorithm of a model by the names of its parameters, since SB3 doesn't save it."""
+    names = _stored_data(path)
+    for parameter, algo in (
+        ("clip_range", "ppo"),
+        ("target_entropy", "sac"),
+        ("policy_delay", "td3"),
+        ("vf_coef", "a2c"),
+    ):
+        if parameter in names:
+            return algo
+    raise ConfigError(f"{path} is a model of an unknown algorithm; known: {', '.join(ALGORITHMS)}.")
+
+
+def _stored_data(path: Path) -> dict[str, Any]:
+    """Return the parameters of a model by name, those that are no plain data as SB3 wraps them."""
+    if not path.is_file():
+        raise ConfigError(f"there is no model file {path}.")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return dict(json.loads(archive.read("data")).items())
+    except Exception as error:  # whatever a damaged zip, or one of something else, brings up
+        raise ConfigError(f"{path} is no model of Stable-Baselines3, or a damaged one: {error!r}.") from error
+
+
+def check_output_folder(out: Path) -> None:
+    """Check that the files of a training run can be written.
+
+    Raises
+    ------
+    ConfigError
+        If one of them can't; the message names it.
+    """
+    check_writable(out / MODEL)
+    for path in (out / MODEL, out / SETTINGS, out / PROGRESS):
+        if path.exists() and not (path.is_file() and os.access(path, os.W_OK)):
+            raise ConfigError(f"can't write to {path}: it is no file, or not yours; use another --out.")
