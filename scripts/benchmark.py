@@ -94,7 +94,7 @@ class Row(NamedTuple):
 def scan_all(tiles, poses, beams, scratch, ranges):
     """Scan from every pose, without the cost of a call from Python for each."""
     for i in range(poses.shape[0]):
-        scan_row(tiles, 0, poses[i, 0], poses[i, 1], poses[i, 2], beams, scratch, ranges[i])
+        scan_row(tiles, 0, (poses[i, 0], poses[i, 1], poses[i, 2]), beams, scratch, ranges[i])
 
 
 def best_time(function: Callable[[], Any], repeats: int = REPEATS) -> float:

@@ -276,7 +276,7 @@ def _difference_at(views, x, y, scan):
 @compiled
 def _scan_from(views, x, y):
     """Write the scan from (x, y), heading east, into the views' ranges."""
-    scan_row(views.walls, 0, x, y, 0.0, views.beams, views.inverse, views.ranges)
+    scan_row(views.walls, 0, (x, y, 0.0), views.beams, views.inverse, views.ranges)
 
 
 @compiled

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import NamedTuple
 
+import gymnasium
 import numpy as np
 
 from cyclic_env.config import STEP_BUDGET_MAX, EnvConfig
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import FloorPlan
+from cyclic_env.floor_plans.library import maps_folder
 from cyclic_env.simulation.lidar import Beams, laser_beams
 from cyclic_env.simulation.physics import Simulation
 from cyclic_env.simulation.sensors import Sensors
 from cyclic_env.simulation.wall_index import WallIndex, build_wall_index, join_wall_indices
-from cyclic_env.task.coverage import CoverageGrid, build_coverage_grid, joined_coverage_grid
+from cyclic_env.task.coverage import CoverageGrid, build_coverage_grid, joined_coverage_grid, visible_share
 from cyclic_env.task.loop_closure import ClosureRules, closure_rules
 from cyclic_env.task.path_history import ClosureMemory, allocate_memory, joined_memory
 from cyclic_env.task.rewards import REWARD_TERMS, reward_weights
@@ -84,7 +87,7 @@ def step_budget(plan: FloorPlan, config: EnvConfig) -> int:
 class Buildings(NamedTuple):
     """What all robots share: the settings of the task, and the P plans in use."""
 
-    tiles: WallIndex
+    walls: WallIndex
     beams: Beams
     scan_spacing: float
     coverage_complete: float
@@ -110,9 +113,10 @@ class Episodes(NamedTuple):
 
 def make_buildings(plan: FloorPlan, config: EnvConfig) -> Buildings:
     """Return the buildings of a pool in which one plan is in use."""
+    warn_of_hidden_cells(plan, config)
     budget = np.array([step_budget(plan, config)], np.int64)
     return Buildings(
-        tiles=build_wall_index(plan, config.laser.range_max),
+        walls=build_wall_index(plan, config.laser.range_max),
         beams=laser_beams(config.laser),
         scan_spacing=config.coverage.scan_spacing,
         coverage_complete=config.coverage.complete,
@@ -121,6 +125,20 @@ def make_buildings(plan: FloorPlan, config: EnvConfig) -> Buildings:
         step_budget=budget,
         terminate_on_collision=config.terminate_on_collision,
     )
+
+
+def warn_of_hidden_cells(plan: FloorPlan, config: EnvConfig) -> None:
+    """Warn if too much of a plan from a file can't be seen; shipped and generated plans are made to be seen."""
+    complete = config.coverage.complete
+    if not plan.file or Path(plan.file).parent == maps_folder():
+        return
+    share = visible_share(plan, config.robot.radius, config.laser.range_max, config.coverage)
+    if share < complete:
+        gymnasium.logger.warn(
+            "%s",  # Gymnasium formats its first argument
+            f"{plan.file}: {1 - share:.1%} of the free cells can't be seen from any position that the robot can reach, "
+            f"but {complete:.0%} must be seen for success. Close these parts off, or lower the setting `complete`.",
+        )
 
 
 def make_episodes(plan: FloorPlan, config: EnvConfig, simulation: Simulation, sensors: Sensors) -> Episodes:
@@ -147,7 +165,7 @@ def add_plan(
     cells = build_coverage_grid(plan, num_robots, config.coverage)
     memory = allocate_memory(plan, num_robots, int(other.step_budget[0]), config.closure)
     buildings = buildings._replace(
-        tiles=join_wall_indices(buildings.tiles, other.tiles),
+        walls=join_wall_indices(buildings.walls, other.walls),
         weights=np.concatenate([buildings.weights, other.weights]),
         step_budget=np.concatenate([buildings.step_budget, other.step_budget]),
     )

@@ -149,7 +149,7 @@ class Engine:
         self._shares = []
         self.sensors.reset_row(row, rng)
         with self._compiling():
-            begin_episode(self.buildings, self.episodes, row, *pose)
+            begin_episode(self.buildings, self.episodes, row, pose)
         self._not_placed.discard(row)
 
     def draw_start(self, rng: np.random.Generator, start: Any = None) -> tuple[int, Pose]:
@@ -228,7 +228,7 @@ class Engine:
             worlds = self.simulation.worlds
             count = min(len(worlds), self._num_threads)
             parts = [worlds[i::count] for i in range(count)]
-            self._shares = [(part, np.sort(np.concatenate([world.rows for world in part]))) for part in parts]
+            self._shares = [(part, np.sort(np.concatenate([world.bodies.rows for world in part]))) for part in parts]
         if skip is None:
             return self._shares
         return [(worlds, rows[~skip[rows]]) for worlds, rows in self._shares]

@@ -20,24 +20,22 @@ def wrap_angle(angle):
 
 
 @compiled
-def begin_episode(buildings, episodes, row, x, y, heading):
+def begin_episode(buildings, episodes, row, pose):
     """Forget the robot's last episode; scan from the start, and mark what the scan sees."""
     plan, ranges, grid = episodes.plan_of[row], episodes.true_ranges[row], episodes.grid
     robot = robot_view(episodes.memory, row)
-    begin(robot, building_view(episodes.memory, plan), x, y)
-    scan_row(buildings.tiles, plan, x, y, heading, buildings.beams, episodes.scratch[row], ranges)
+    begin(robot, building_view(episodes.memory, plan), pose[0], pose[1])
+    scan_row(buildings.walls, plan, pose, buildings.beams, episodes.scratch[row], ranges)
     grid.seen[row] = False
     outcome = episodes.outcome[row]
     outcome.reward, outcome.terminated, outcome.truncated, outcome.contact = 0.0, False, False, False
     outcome.cells_paid, outcome.episode_return = 0, 0.0
-    outcome.cells_seen = mark_scan(
-        grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, buildings.beams.directions, ranges
-    )
+    outcome.cells_seen = mark_scan(grid, plan, row, pose, buildings.beams, ranges)
     episodes.terms[row] = 0.0
     info = episodes.info[row]
     info.collisions = 0
     info.cycles_total = episodes.memory.cycles_total[plan]
-    report(info, robot.status, outcome.cells_seen / grid.cells_total[plan], buildings.coverage_complete, x, y, heading)
+    report(info, robot.status, outcome.cells_seen / grid.cells_total[plan], buildings.coverage_complete, pose)
 
 
 @compiled
@@ -52,27 +50,25 @@ def judge_rows(buildings, episodes, rows, claimed):
         outcome, info = episodes.outcome[row], episodes.info[row]
         robot, building = robot_view(episodes.memory, row), building_view(episodes.memory, plan)
         status = robot.status
-        x, y, heading = drive.x, drive.y, wrap_angle(drive.angle)
-        scan_row(buildings.tiles, plan, x, y, heading, beams, scratch, ranges)
+        pose = (drive.x, drive.y, wrap_angle(drive.angle))
+        scan_row(buildings.walls, plan, pose, beams, scratch, ranges)
 
         path_before, false_before = status.path_length, status.false_claims
-        advance(robot, building, rules, x, y)
+        advance(robot, building, rules, drive.x, drive.y)
         if passed_multiple(path_before, status.path_length, buildings.scan_spacing):
-            outcome.cells_seen += mark_scan(
-                grid.grids[plan], grid.cell_size, grid.number, grid.seen[row], x, y, heading, beams.directions, ranges
-            )
+            outcome.cells_seen += mark_scan(grid, plan, row, pose, beams, ranges)
         judge_claim(robot, building, rules, claimed[row])
         if drive.contact and not outcome.contact:
             info.collisions += 1
         outcome.contact = drive.contact
 
         cells_total = grid.cells_total[plan]
-        report(info, status, outcome.cells_seen / cells_total, buildings.coverage_complete, x, y, heading)
+        report(info, status, outcome.cells_seen / cells_total, buildings.coverage_complete, pose)
         outcome.terminated = info.is_success or (buildings.terminate_on_collision and drive.contact)
         outcome.truncated = status.steps >= buildings.step_budget[plan] and not outcome.terminated
         if outcome.terminated or outcome.truncated:
             settle_event(robot, building, rules)
-            report(info, status, outcome.cells_seen / cells_total, buildings.coverage_complete, x, y, heading)
+            report(info, status, outcome.cells_seen / cells_total, buildings.coverage_complete, pose)
         newly_seen = (outcome.cells_seen - outcome.cells_paid) / cells_total
         crashed = outcome.terminated and not info.is_success
         charged_steps = 1 + (buildings.step_budget[plan] - status.steps if crashed else 0)
@@ -90,7 +86,7 @@ def passed_multiple(before, after, spacing):
 
 
 @compiled
-def report(info, status, share_seen, share_complete, x, y, heading):
+def report(info, status, share_seen, share_complete, pose):
     """Fill the robot's info, except for the number of cycles and the count of collisions."""
     info.is_success = share_seen >= share_complete and status.cycles_closed == info.cycles_total
     info.coverage = share_seen
@@ -107,4 +103,4 @@ def report(info, status, share_seen, share_complete, x, y, heading):
     info.recall = recall_of(status)
     info.new_cycle = status.new_cycle
     info.path_length_m = status.path_length
-    info.x, info.y, info.heading = x, y, heading
+    info.x, info.y, info.heading = pose

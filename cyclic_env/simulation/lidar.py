@@ -1,9 +1,9 @@
 """The laser scanner: exact ranges to the walls, by drawing walls into beams.
 
-A scan is a one-dimensional picture, so a z-buffer renders it: every wall near the robot that faces it
-covers an interval of beams, and each of these keeps the largest inverse range it has met. Along a wall
-the inverse range is linear in the beam's direction, one multiplication and addition a beam, and no beam
-ever looks for its wall.
+A scan is a one-dimensional picture, so a z-buffer renders it: every wall that is near the robot and faces it
+covers an interval of beams, and each of these beams keeps the largest inverse range that it has met. Along a wall
+the inverse range is linear in the beam's direction, which takes two multiplications and a subtraction for a beam, and
+no beam has to search for its wall.
 
 A beam that comes within `TOUCH` of a wall's end hits that end. So a beam that grazes a corner stops at it,
 and none can slip through a joint of two walls, whatever the rounding.
@@ -129,7 +129,7 @@ def _beam_at(x, y, beams):
 
 @inlined
 def _draw_wall(wall, beams, low, high, inverse):
-    """Draw a wall (x1, y1, x2, y2) into beams `low` to `high`: each keeps its largest inverse range."""
+    """Draw a wall, (x1, y1, x2, y2) in the robot's frame, into the beams from `low` to `high`."""
     x1, y1, x2, y2 = wall
     ux, uy = beams.directions[0], beams.directions[1]
     ex, ey = x2 - x1, y2 - y1
@@ -138,7 +138,7 @@ def _draw_wall(wall, beams, low, high, inverse):
         low += 1
     while low <= high and ux[high] * y2 - uy[high] * x2 < -TOUCH:
         high -= 1
-    # The ends may lie within TOUCH of the wall's end but beside it; such a beam hits the end itself.
+    # The outermost beams may pass the wall's end at less than TOUCH; such a beam hits the end itself.
     while low <= high and x1 * uy[low] - y1 * ux[low] < 0:
         if ux[low] * ey - uy[low] * ex > 0:
             inverse[low] = max(inverse[low], 1.0 / math.sqrt(x1 * x1 + y1 * y1))
@@ -153,30 +153,31 @@ def _draw_wall(wall, beams, low, high, inverse):
 
 
 @compiled
-def scan_row(tiles, plan, x, y, heading, beams, inverse, ranges):
+def scan_row(walls, plan, pose, beams, inverse, ranges):
     """Write the ranges from one pose into `ranges`.
 
     Parameters
     ----------
-    tiles : WallIndex
+    walls : WallIndex
         Index of the walls within the laser's reach.
     plan : int
         Which of the index's plans the robot is in.
-    x, y, heading : float
-        Metres and radians; must be in free space.
+    pose : tuple of 3 floats
+        x, y and heading, metres and radians; must be in free space.
     beams : Beams
     inverse : (2 * num_beams,) float64
         Scratch space.
     ranges : (num_beams,) float64
         Written to, metres.
     """
+    x, y, heading = pose
     num_beams, range_max = ranges.shape[0], beams.range_max
     cos, sin = math.cos(heading), math.sin(heading)
     slack = ANGLE_ERROR * beams.per_radian
     inverse[:] = 1.0 / range_max
-    tile = cell_index(tiles.grids[plan], TILE_SIZE, x, y)
-    for i in range(tiles.offsets[tile], tiles.offsets[tile + 1]):
-        wall = tiles.walls[tiles.indices[i]]
+    tile = cell_index(walls.grids[plan], TILE_SIZE, x, y)
+    for i in range(walls.offsets[tile], walls.offsets[tile + 1]):
+        wall = walls.walls[walls.indices[i]]
         dx1, dy1, dx2, dy2 = wall[0] - x, wall[1] - y, wall[2] - x, wall[3] - y
         if dx1 * dy2 - dx2 * dy1 <= -TOUCH:  # clearly seen from behind; the exact test follows
             continue

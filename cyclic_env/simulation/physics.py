@@ -1,13 +1,13 @@
-"""The physics: N robots that drive in walled buildings, and nothing of what they sense or earn.
+"""The physics: N robots that drive in walled buildings.
 
-Robots of one floor plan share a pymunk Space; they pass through each other and collide with walls only.
-A Space holds at most `WORLD_SIZE_MAX` of them, since robots at the same spot cost pymunk time in pairs. Bodies
-are read and written all at once, as `pymunk.batch` does it, and compiled code calls pymunk's library itself. Both may
-change in any release of pymunk: so pymunk is pinned tightly and used here and nowhere else.
+Robots of one floor plan share a pymunk Space; they pass through each other and collide with walls only. A Space holds
+at most `WORLD_SIZE_MAX` of them, since every pair of robots at the same spot costs pymunk time. Compiled code calls
+pymunk's C library directly, and reads and writes all bodies of a Space at once, as `pymunk.batch` does. Either may
+change in any release of pymunk: therefore pymunk is pinned tightly, and used in this module only.
 
 Wheels act as a force and a torque before each substep, so that the contact solver has the last word.
-pymunk is not deterministic after a reset by itself: a body moved back in its Space keeps the contacts
-of its last episode. So a row that is placed anew gets a new body and a new shape.
+A body that is moved back in its Space keeps the contacts of its last episode, which would make resets nondeterministic:
+therefore a robot that is placed anew gets a new body and a new shape.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.jit import call_c, compiled
 
 WORLD_SIZE_MIN, WORLD_SIZE_MAX = 16, 32
-"""Robots in one Space, measured: fewer cost calls, more cost pairs while they stand at the same start."""
+"""Robots in one Space, from measurements: fewer of them take more calls, more of them more pairs at the same start."""
 
 COLLISION_SLOP = 0.001
 """Metres of overlap that the contact solver leaves, so that a contact at rest does not flicker."""
 
 WORLDS_KEPT = 64
-"""Spaces without robots that are kept for those that come: to make one takes as long as thousands of steps."""
+"""Number of Spaces without robots that are kept for later: making one takes as long as thousands of steps."""
 
 PUSH = 1e-6
-"""Metres a second. A robot is in contact when a wall changed the velocity that its wheels gave it by more."""
+"""m/s. A robot is in contact when a wall changed the velocity that its wheels gave it by more than this."""
 
 ROBOTS, WALLS = 0b01, 0b10
 READ = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields.ANGULAR_VELOCITY
 WRITE = BodyFields.FORCE | BodyFields.TORQUE
 READ_WIDTH, WRITE_WIDTH = 6, 3
 SLACK = 64
-"""Spare floats behind a batch buffer: pymunk grows a buffer, which is not its own, before it is quite full."""
+"""Spare floats at the end of a batch buffer: pymunk would reallocate it, which it must not, before it is quite full."""
 
 DRIVE = np.dtype(
     [
@@ -62,7 +62,7 @@ DRIVE = np.dtype(
         ("target_vy", "f8"),
     ]
 )
-"""What the simulation knows of a robot from one substep to the next."""
+"""State of a robot's drive, kept from one substep to the next."""
 
 
 def num_cores() -> int:
@@ -70,64 +70,97 @@ def num_cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+class Dynamics(NamedTuple):
+    """How the robots drive, as the compiled code takes it."""
+
+    substeps: int
+    mass: float
+    """kg"""
+    inertia: float
+    """kg m2"""
+    axle_track: float
+    """m"""
+    lag: float
+    """Share of a wheel's speed error that is gone after a substep."""
+    dt: float
+    """Length of a substep, s."""
+
+
+class Bodies(NamedTuple):
+    """The n bodies of one Space, in its own order.
+
+    Attributes
+    ----------
+    states : (n, 6) float64
+        x, y, angle, vx, vy and angular velocity.
+    forces : (n, 3) float64
+        Force x and y, and torque.
+    rows : (n,) int64
+        The robot of each body.
+    counts : (2,) intc
+        How many floats pymunk's batches for reading and writing hold.
+    """
+
+    states: np.ndarray
+    forces: np.ndarray
+    rows: np.ndarray
+    counts: np.ndarray
+
+
 @compiled
-def command_substep(bodies, forces, rows, drive, commands, first, mass, inertia, axle_track, lag, dt):
-    """Take over what the substep before did to the bodies, if there was one, and set the forces of the next.
+def command_substep(bodies, drive, commands, first, dynamics):
+    """Take over what the last substep did to the bodies, unless it is the first, and set the forces of the next one.
 
     The forces give each body the velocity of its wheels by the end of the substep. pymunk first moves a body
-    by its old velocity, and then turns to contacts and the new one: so the new velocity points along the
-    heading half-way through the substep after.
+    by its old velocity, and then computes contacts and the new velocity: so the new velocity has to point along the
+    heading half-way through the substep after that.
 
     Parameters
     ----------
-    bodies : (n, 6) float64
-        x, y, angle, vx, vy and angular velocity of the bodies of one Space.
-    forces : (n, 3) float64
-        Written: force x and y, torque.
-    rows : (n,) int64
-        The robot of each body.
+    bodies : Bodies
+        The forces are written to.
     drive : (N,) DRIVE
         Updated.
     commands : (N, 2) float64
-        Wheel speeds asked for, left and right, m/s.
+        Commanded speeds of the left and the right wheel, m/s.
     first : bool
         Whether a control step begins, so that travel and contact start anew.
-    mass, inertia, axle_track, lag, dt : float
-        kg, kg m2, m, the share of a wheel's speed error that is gone after a substep, and a substep's length in s.
+    dynamics : Dynamics
     """
-    for i in range(rows.shape[0]):
-        row = rows[i]
+    forces, dt = bodies.forces, dynamics.dt
+    for i in range(bodies.rows.shape[0]):
+        row, state = bodies.rows[i], bodies.states[i]
         robot = drive[row]
-        angle, omega = bodies[i, 2], bodies[i, 5]
+        angle, omega = state[2], state[5]
         if first:
             robot.travel, robot.contact = 0.0, False
         else:
-            observe_body(bodies[i], robot)
-        robot.left += lag * (commands[row, 0] - robot.left)
-        robot.right += lag * (commands[row, 1] - robot.right)
-        target_omega = (robot.right - robot.left) / axle_track
+            observe_body(state, robot)
+        robot.left += dynamics.lag * (commands[row, 0] - robot.left)
+        robot.right += dynamics.lag * (commands[row, 1] - robot.right)
+        target_omega = (robot.right - robot.left) / dynamics.axle_track
         speed = 0.5 * (robot.left + robot.right)
-        # No wall turns a round robot without friction: what was ahead is now the heading half-way through.
+        # Without friction no wall turns a round robot: what was ahead is now the heading half-way through the substep.
         robot.along_x, robot.along_y = robot.ahead_x, robot.ahead_y
         ahead = angle + omega * dt + 0.5 * target_omega * dt
         robot.ahead_x, robot.ahead_y = math.cos(ahead), math.sin(ahead)
         robot.target_vx, robot.target_vy = speed * robot.ahead_x, speed * robot.ahead_y
-        forces[i, 0] = mass * (robot.target_vx - bodies[i, 3]) / dt
-        forces[i, 1] = mass * (robot.target_vy - bodies[i, 4]) / dt
-        forces[i, 2] = inertia * (target_omega - omega) / dt
+        forces[i, 0] = dynamics.mass * (robot.target_vx - state[3]) / dt
+        forces[i, 1] = dynamics.mass * (robot.target_vy - state[4]) / dt
+        forces[i, 2] = dynamics.inertia * (target_omega - omega) / dt
 
 
 @compiled
-def observe_body(body, robot):
+def observe_body(state, robot):
     """Take over what a substep did to one body: position, travel along the heading, contact."""
-    robot.travel += (body[0] - robot.x) * robot.along_x + (body[1] - robot.y) * robot.along_y
-    robot.x, robot.y, robot.angle = body[0], body[1], body[2]
-    if abs(body[3] - robot.target_vx) > PUSH or abs(body[4] - robot.target_vy) > PUSH:
+    robot.travel += (state[0] - robot.x) * robot.along_x + (state[1] - robot.y) * robot.along_y
+    robot.x, robot.y, robot.angle = state[0], state[1], state[2]
+    if abs(state[3] - robot.target_vx) > PUSH or abs(state[4] - robot.target_vy) > PUSH:
         robot.contact = True
 
 
 class SpaceCalls(NamedTuple):
-    """Addresses of pymunk's functions, and of what they work on, for one Space."""
+    """Addresses of one Space, of the functions of pymunk's library, and of the batches that these read and write."""
 
     space: int
     step: int
@@ -139,23 +172,23 @@ class SpaceCalls(NamedTuple):
 
 
 @compiled
-def read_bodies(calls, counts):
-    """Read all bodies of a Space; `counts` has how many floats the batches for reading and writing hold."""
-    counts[0] = 0
+def read_bodies(calls, bodies):
+    """Read the states of all bodies of a Space."""
+    bodies.counts[0] = 0
     call_c(calls.each_body, (calls.space, calls.read, calls.read_batch))
 
 
 @compiled
-def drive_bodies(calls, counts, bodies, forces, rows, drive, commands, substeps, mass, inertia, axle_track, lag, dt):
-    """Drive the robots of one Space for a control step; for the arguments see `read_bodies` and `command_substep`."""
-    for substep in range(substeps):
-        command_substep(bodies, forces, rows, drive, commands, substep == 0, mass, inertia, axle_track, lag, dt)
-        counts[1] = 0
+def drive_bodies(calls, bodies, drive, commands, dynamics):
+    """Drive the robots of one Space for a control step; for the arguments see `SpaceCalls` and `command_substep`."""
+    for substep in range(dynamics.substeps):
+        command_substep(bodies, drive, commands, substep == 0, dynamics)
+        bodies.counts[1] = 0
         call_c(calls.each_body, (calls.space, calls.write, calls.write_batch))
-        call_c(calls.step, (calls.space, dt))  # Space.step looks for callbacks and late additions; there are none
-        read_bodies(calls, counts)
-    for i in range(rows.shape[0]):
-        observe_body(bodies[i], drive[rows[i]])
+        call_c(calls.step, (calls.space, dynamics.dt))  # without the Python callbacks that Space.step would look for
+        read_bodies(calls, bodies)
+    for i in range(bodies.rows.shape[0]):
+        observe_body(bodies.states[i], drive[bodies.rows[i]])
 
 
 def address_of(pointer: Any) -> int:
@@ -175,12 +208,12 @@ class World:
             for i, corner in enumerate(corners):
                 following = corners[(i + 1) % len(corners)]
                 wall = pymunk.Segment(self.space.static_body, corner, following, 0.0)
-                # Knowing its neighbours, a wall has no ends for a robot that slides along to catch on.
+                # A robot that slides along a wall would otherwise catch on the joints with its neighbours.
                 wall.set_neighbors(corners[i - 1], corners[(i + 2) % len(corners)])
                 wall.filter = pymunk.ShapeFilter(categories=WALLS)
                 wall.friction = 0.0
                 self.space.add(wall)
-        self.bodies: dict[int, pymunk.Body] = {}
+        self.body_of: dict[int, pymunk.Body] = {}
         self._refresh()
 
     def add(self, row: int, body: pymunk.Body, radius: float) -> None:
@@ -190,34 +223,36 @@ class World:
         shape.filter = pymunk.ShapeFilter(categories=ROBOTS, mask=WALLS)
         shape.friction = 0.0
         self.space.add(body, shape)
-        self.space._bodies_to_check.clear()  # Space.step would, which is not called; else old bodies pile up there
-        self.bodies[row] = body
+        self.space._bodies_to_check.clear()  # old bodies pile up there, as Space.step is never called
+        self.body_of[row] = body
         self._refresh()
 
     def remove(self, row: int) -> None:
         """Remove the robot, if it is here."""
-        body = self.bodies.pop(row, None)
+        body = self.body_of.pop(row, None)
         if body is not None:
             self.space.remove(body, *body.shapes)
             self._refresh()
 
     def _refresh(self) -> None:
-        """Fit the buffers to the bodies, and learn their order in the Space."""
-        count = len(self.bodies)
+        """Fit the buffers to the bodies, and find their order in the Space."""
+        count = len(self.body_of)
         ids = Buffer()
         get_space_bodies(self.space, BodyFields.BODY_ID, ids)
-        row_of = {body.id: row for row, body in self.bodies.items()}
+        row_of = {body.id: row for row, body in self.body_of.items()}
         order = [row_of[i] for i in memoryview(ids.int_buf()).cast("P") if i in row_of]  # the last is the walls' body
-        self.rows = np.array(order, np.int64)
         read, write = (np.zeros((count + 1) * width + SLACK) for width in (READ_WIDTH, WRITE_WIDTH))
-        self.body_states = read[: count * READ_WIDTH].reshape(count, READ_WIDTH)
-        self.forces = write[: count * WRITE_WIDTH].reshape(count, WRITE_WIDTH)
-        # What `pymunk.batch` makes for each call, made once: there, that costs more than the work.
+        # `pymunk.batch` makes these anew in each call, which takes longer than the work itself.
         self._arrays, self._batches = ffi.new("pmFloatArray[2]"), ffi.new("pmBatchedData[2]")
         for i, (fields, floats) in enumerate(((READ, read), (WRITE, write))):
             self._arrays[i].arr, self._arrays[i].max = ffi.cast("double *", floats.ctypes.data), len(floats)
             self._batches[i].floatArray, self._batches[i].fields = ffi.addressof(self._arrays, i), fields.value
-        self.counts = np.frombuffer(ffi.buffer(self._arrays), np.intc).reshape(2, -1)[:, 0]
+        self.bodies = Bodies(
+            states=read[: count * READ_WIDTH].reshape(count, READ_WIDTH),
+            forces=write[: count * WRITE_WIDTH].reshape(count, WRITE_WIDTH),
+            rows=np.array(order, np.int64),
+            counts=np.frombuffer(ffi.buffer(self._arrays), np.intc).reshape(2, -1)[:, 0],
+        )
         names = (
             "cpSpaceStep",
             "cpSpaceEachBody",
@@ -228,7 +263,7 @@ class World:
         reading, writing = (ffi.addressof(self._batches, i) for i in range(2))
         pointers = (self.space._space, step, each_body, read_body, reading, write_body, writing)
         self.calls = SpaceCalls(*map(address_of, pointers))
-        read_bodies(self.calls, self.counts)
+        read_bodies(self.calls, self.bodies)
 
 
 class Simulation:
@@ -246,7 +281,7 @@ class Simulation:
 
     def __init__(self, robot: RobotConfig, plans: Sequence[FloorPlan], num_robots: int) -> None:
         self.robot = robot
-        self.plans = tuple(plans)  # the engine adds those that come into use
+        self.plans = tuple(plans)  # the engine adds plans when robots first draw them
         self.drive = np.zeros(num_robots, DRIVE)
         self.plan_of = np.full(num_robots, -1, np.int64)
         self.worlds: list[World] = []
@@ -255,9 +290,15 @@ class Simulation:
         self._world_of: dict[int, World] = {}
         self._empty: dict[int, World] = {}  # by their plans
         self._inertia = pymunk.moment_for_circle(robot.mass, 0.0, robot.radius)
-        self._dt = robot.dt / robot.substeps
-        lag = robot.wheel_time_constant
-        self._lag = 1.0 - math.exp(-self._dt / lag) if lag > 0 else 1.0
+        dt, lag = robot.dt / robot.substeps, robot.wheel_time_constant
+        self._dynamics = Dynamics(
+            substeps=robot.substeps,
+            mass=robot.mass,
+            inertia=self._inertia,
+            axle_track=robot.axle_track,
+            lag=1.0 - math.exp(-dt / lag) if lag > 0 else 1.0,
+            dt=dt,
+        )
 
     def place(self, row: int, plan: int, pose: Sequence[float]) -> None:
         """Put a robot at rest at `pose` (x, y, heading) in the plan of that number, as a new body."""
@@ -281,14 +322,14 @@ class Simulation:
 
     def _world_with_room(self, plan: int) -> World:
         for world in self.worlds:
-            if world.plan is self.plans[plan] and len(world.bodies) < self._world_size:
+            if world.plan is self.plans[plan] and len(world.body_of) < self._world_size:
                 return world
         self.worlds.append(self._empty.pop(plan, None) or World(self.plans[plan]))
         return self.worlds[-1]
 
     def _leave(self, world: World, row: int) -> None:
         world.remove(row)
-        if not world.bodies:
+        if not world.body_of:
             self.worlds.remove(world)
             self._empty[int(self.plan_of[row])] = world
             if len(self._empty) > WORLDS_KEPT:
@@ -302,29 +343,14 @@ class Simulation:
         world : World
             One of `worlds`.
         commands : (N, 2) float64
-            Wheel speeds asked for, left and right, m/s; only the rows of this world are read.
+            Commanded speeds of the left and the right wheel, m/s; only the rows of this world are read.
         """
-        robot = self.robot
-        drive_bodies(
-            world.calls,
-            world.counts,
-            world.body_states,
-            world.forces,
-            world.rows,
-            self.drive,
-            commands,
-            robot.substeps,
-            robot.mass,
-            self._inertia,
-            robot.axle_track,
-            self._lag,
-            self._dt,
-        )
+        drive_bodies(world.calls, world.bodies, self.drive, commands, self._dynamics)
 
     def __getstate__(self) -> dict[str, Any]:
         bodies = {}
         for row, world in self._world_of.items():
-            body = world.bodies[row]
+            body = world.body_of[row]
             bodies[row] = (
                 int(self.plan_of[row]),
                 tuple(body.position),

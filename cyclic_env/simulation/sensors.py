@@ -1,7 +1,7 @@
-"""The three sensors and their errors: distance meter, compass, and what the laser's ranges suffer.
+"""The three sensors and their errors: distance meter, compass and laser.
 
-The noise presets and their terms are in `cyclic_env.config`. Every robot draws from its own generator, the
-same numbers at every step whatever it does, so that its stream depends on nothing else.
+The noise presets and their terms are in `cyclic_env.config`. Every robot draws from a generator of its own, equally
+many numbers at every step whatever it does, so that its random numbers depend on nothing else.
 """
 
 from __future__ import annotations
@@ -17,32 +17,29 @@ from cyclic_env.config import LaserConfig, NoiseConfig
 from cyclic_env.jit import call_c, compiled
 
 FIELD_WAVES = 64
-"""Plane waves whose sum is the compass field; the more, the nearer to a Gaussian field."""
+"""Number of plane waves whose sum is the compass field; the more, the closer it is to a Gaussian field."""
 
-
-TERMS = np.dtype(
+ERRORS = np.dtype(
     [
-        (name, "f8")
-        for name in (
-            "drift",  # of the distance meter
-            "white",  # noise of the compass, and the amplitude of the waves of its field
-            "field_amplitude",
-            "laser_sigma",
-            "laser_sigma_relative",
-            "laser_short",
-            "laser_max",
-            "laser_random",
-        )
+        ("scale", "f8"),  # of the distance meter: true metres are multiplied by it
+        ("drift", "f8"),  # of the distance meter, metres for a square root of a metre driven
+        ("white", "f8"),  # noise of the compass, radians
+        ("field_amplitude", "f8"),  # of each wave of the compass field, radians
+        ("laser_sigma", "f8"),
+        ("laser_sigma_relative", "f8"),
+        ("laser_short", "f8"),
+        ("laser_max", "f8"),
+        ("laser_random", "f8"),
     ]
 )
-"""What the sensors of a robot err by in this episode; see `NoiseConfig`."""
+"""Errors of a robot's sensors in an episode; see `NoiseConfig`."""
 
 
 class Fills(NamedTuple):
-    """Addresses of NumPy's functions that fill arrays with random numbers; 0 where its library hides them.
+    """Addresses of NumPy's C functions that fill arrays with random numbers; 0 where its library hides them.
 
-    They are what the methods of a `Generator` call, and draw the same numbers. NumPy documents to take them from there
-    ("Extending", the example with CFFI). A method costs more than it takes to draw the numbers of a scan.
+    The methods of a `Generator` call them, so that they draw the same numbers, but calling a method takes longer than
+    drawing the numbers of a scan. NumPy documents this use ("Extending", the example with CFFI).
     """
 
     normal: int
@@ -62,12 +59,12 @@ FILLS = numpy_fills()
 
 
 class Sensors:
-    """What the sensors of N robots have drawn for the episode, and their readings.
+    """The sensors of N robots: the errors drawn for their episodes, and their readings.
 
     Parameters
     ----------
     noise : sequence of NoiseConfig
-        Of several, a robot draws one at each reset.
+        If there are several, a robot draws one at each reset.
     laser : LaserConfig
     num_robots : int
 
@@ -76,11 +73,14 @@ class Sensors:
     true_ranges : (N, num_beams) float64
         What the laser would read without errors, metres; filled by the engine.
     ranges : (N, num_beams) float64
-        What it reads, metres.
+        What it reads, metres; the same array if the laser is exact.
     distance : (N,) float64
         Readings of the distance meters, metres.
     compass : (N, 2) float64
         Readings of the compasses: unit vectors, east and north.
+    errors : (N,) array of `ERRORS`
+    field : (N, waves, 3) float64
+        Wave numbers east and north, and phase, of the waves of each robot's compass field.
     """
 
     def __init__(self, noise: Sequence[NoiseConfig], laser: LaserConfig, num_robots: int) -> None:
@@ -91,11 +91,9 @@ class Sensors:
         self.ranges = self.true_ranges if self._laser_is_exact else np.zeros((num_robots, laser.num_beams))
         self.distance = np.zeros(num_robots)
         self.compass = np.zeros((num_robots, 2))
-        self._scale = np.ones(num_robots)
-        # Wave numbers east and north, and phase, of the waves of each robot's compass field.
         waves = FIELD_WAVES if any(one.compass_field_deg > 0 for one in noise) else 0
-        self._field = np.zeros((num_robots, waves, 3))
-        self._terms = np.zeros(num_robots, TERMS)
+        self.field = np.zeros((num_robots, waves, 3))
+        self.errors = np.zeros(num_robots, ERRORS)
         self._drifts = any(one.distance_drift > 0 or one.compass_white_deg > 0 for one in noise)
         self._normals = np.zeros((num_robots, 2))
         drawn = 0 if self._laser_is_exact else laser.num_beams
@@ -107,7 +105,8 @@ class Sensors:
         """Draw a robot's errors for an episode; its distance meter starts at 0."""
         self.distance[row] = 0.0
         noise = self.noise[int(rng.integers(len(self.noise))) if len(self.noise) > 1 else 0]
-        self._terms[row] = (
+        self.errors[row] = (
+            1.0,
             noise.distance_drift,
             math.radians(noise.compass_white_deg),
             math.radians(noise.compass_field_deg) * math.sqrt(2 / FIELD_WAVES),
@@ -117,11 +116,10 @@ class Sensors:
             noise.laser_max,
             noise.laser_random,
         )
-        self._scale[row] = 1.0
         if noise.distance_scale > 0:
-            self._scale[row] += noise.distance_scale * rng.standard_normal()
+            self.errors["scale"][row] += noise.distance_scale * rng.standard_normal()
         if noise.compass_field_deg > 0:
-            field = self._field[row]
+            field = self.field[row]
             field[:, :2] = rng.standard_normal((FIELD_WAVES, 2)) / noise.compass_field_length
             field[:, 2] = rng.uniform(0, 2 * math.pi, FIELD_WAVES)
 
@@ -136,13 +134,13 @@ class Sensors:
         rngs : sequence of N Generators
         """
         self._draw(rows, rngs)
-        read_rows(rows, drive, self._terms, self._scale, self._field, self._normals, self.distance, self.compass)
+        read_rows(rows, drive, self.errors, self.field, self._normals, self.distance, self.compass)
         if self._laser_is_exact:
             return
         disturb_rows(
             rows,
             self.true_ranges,
-            self._terms,
+            self.errors,
             self._beam_uniforms,
             self._beam_normals,
             float(self.laser.range_max),
@@ -172,9 +170,9 @@ class Sensors:
 
 @compiled
 def draw_rows(rows, generators, fills, drifts, normals, beam_uniforms, beam_normals):
-    """Fill the rows of the arrays with random numbers; the first one only where a meter or compass `drifts`.
+    """Fill rows of the arrays with random numbers; those of the first one only if a meter or compass `drifts`.
 
-    `generators` has the addresses of the robots' generators, one for each of `rows`.
+    `generators` has the addresses of the generators of the robots `rows`.
     """
     for i in range(rows.shape[0]):
         row, generator = rows[i], generators[i]
@@ -194,34 +192,34 @@ def field_at(waves, amplitude, x, y):
 
 
 @compiled
-def read_rows(rows, drive, terms, scale, field, normals, distance, compass):
+def read_rows(rows, drive, errors, field, normals, distance, compass):
     """Add the last step to the distance meters, and read the compasses, of the robots `rows`."""
     for row in rows:
-        robot, noise = drive[row], terms[row]
-        distance[row] += robot.travel * scale[row] + noise.drift * math.sqrt(abs(robot.travel)) * normals[row, 0]
+        robot, noise = drive[row], errors[row]
+        distance[row] += robot.travel * noise.scale + noise.drift * math.sqrt(abs(robot.travel)) * normals[row, 0]
         deflection = field_at(field[row], noise.field_amplitude, robot.x, robot.y)
         shown = robot.angle + deflection + noise.white * normals[row, 1]
         compass[row, 0], compass[row, 1] = math.cos(shown), math.sin(shown)
 
 
 @compiled
-def disturb_rows(rows, true_ranges, terms, uniforms, normals, range_max, ranges):
-    """Write into `ranges` what the beam model makes of the true ranges of the robots `rows`.
+def disturb_rows(rows, true_ranges, errors, uniforms, normals, range_max, ranges):
+    """Write the ranges that the robots `rows` read, by the beam model, into `ranges`.
 
-    One uniform number decides both which of the terms a beam meets and, stretched, the range that it then reads.
+    One uniform number decides which term of the model applies to a beam and, scaled, which range it then reads.
 
     Parameters
     ----------
     rows : (n,) int64
     true_ranges : (N, num_beams) float64
-    terms : (N,) array of `TERMS`
+    errors : (N,) array of `ERRORS`
     uniforms, normals : (N, num_beams) float32
     range_max : float
     ranges : (N, num_beams) float64
         Written to.
     """
     for row in rows:
-        noise = terms[row]
+        noise = errors[row]
         sigma, relative = noise.laser_sigma, noise.laser_sigma_relative
         short, maximum, random = noise.laser_short, noise.laser_max, noise.laser_random
         for beam in range(true_ranges.shape[1]):

@@ -1,4 +1,4 @@
-"""For every place of a building, the few walls near it: the index under the laser and the lines of sight."""
+"""For every position in a building, the few walls near it: the index that the laser and the lines of sight use."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from cyclic_env.floor_plans.floor_plan import FloorPlan
 from cyclic_env.jit import compiled
 
 TILE_SIZE = 2.0
-"""Metres. Smaller tiles have shorter lists, but there are more of them; 2 m keeps Killian Court's in the cache."""
+"""Metres. Smaller tiles have shorter lists, but there are more of them; with 2 m Killian Court's fit the cache."""
 
 ROUNDING = 1e-6
-"""Metres, and square metres, by which a wall may seem out of reach, or seen from behind, and still be listed."""
+"""Metres, and square metres. A wall that seems out of reach, or seen from behind, by no more than this is listed."""
 
 TILES_MAX = 2_000_000
-"""Most tiles of a plan, 8 km2: a gigabyte while they are built."""
+"""Largest number of tiles of a plan, 8 km2; they take a gigabyte while they are built."""
 
 GRID = np.dtype(
     [("west", "f8"), ("south", "f8"), ("columns", "i8"), ("rows", "i8"), ("first", "i8")],
 )
-"""Squares over one plan: the south-west corner, their numbers from west to east and from south to north,
-and the number of the first one; they count row by row."""
+"""Square cells over one plan, indexed row by row from the south-west corner: that corner, the numbers of columns and
+rows, and the index of the first cell."""
 
 
 class WallIndex(NamedTuple):
@@ -50,7 +50,7 @@ class WallIndex(NamedTuple):
 
 
 def build_wall_index(plan: FloorPlan, reach: float) -> WallIndex:
-    """Index the walls of a plan by the tiles from which a point at most `reach` metres away may meet them.
+    """Return the walls of a plan, listed by tile: those that a point in the tile can see at most `reach` metres away.
 
     Raises
     ------
@@ -66,28 +66,29 @@ def build_wall_index(plan: FloorPlan, reach: float) -> WallIndex:
         )
     x, y = np.meshgrid(west + TILE_SIZE * np.arange(nx), south + TILE_SIZE * np.arange(ny))
     boxes = shapely.box(x.ravel(), y.ravel(), x.ravel() + TILE_SIZE, y.ravel() + TILE_SIZE)
-    used = shapely.intersects(plan.prepared_space(), boxes)
+    inside = shapely.intersects(plan.prepared_space(), boxes)
     walls = np.ascontiguousarray(plan.walls)
     # Once to count the walls of each tile, and once to list them.
     counts = np.zeros(nx * ny, np.int64)
-    list_walls(walls, west, south, nx, reach + ROUNDING, used, counts, np.empty(0, np.int32))
+    grids = np.array([(west, south, nx, ny, 0)], GRID)
+    list_walls(walls, grids[0], reach + ROUNDING, inside, counts, np.empty(0, np.int32))
     indices = np.empty(counts.sum(), np.int32)
-    list_walls(walls, west, south, nx, reach + ROUNDING, used, np.cumsum(counts) - counts, indices)
+    list_walls(walls, grids[0], reach + ROUNDING, inside, np.cumsum(counts) - counts, indices)
     return WallIndex(
-        grids=np.array([(west, south, nx, ny, 0)], GRID),
+        grids=grids,
         walls=walls,
         offsets=np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         indices=indices,
     )
 
 
-def join_wall_indices(tiles: WallIndex, others: WallIndex) -> WallIndex:
+def join_wall_indices(index: WallIndex, others: WallIndex) -> WallIndex:
     """Return the index of the walls of both pools of plans, those of `others` last."""
     return WallIndex(
-        grids=joined_grids(tiles.grids, others.grids, len(tiles.offsets) - 1),
-        walls=np.concatenate([tiles.walls, others.walls]),
-        offsets=np.concatenate([tiles.offsets, tiles.offsets[-1] + others.offsets[1:]]),
-        indices=np.concatenate([tiles.indices, others.indices + np.int32(len(tiles.walls))]),
+        grids=joined_grids(index.grids, others.grids, len(index.offsets) - 1),
+        walls=np.concatenate([index.walls, others.walls]),
+        offsets=np.concatenate([index.offsets, index.offsets[-1] + others.offsets[1:]]),
+        indices=np.concatenate([index.indices, others.indices + np.int32(len(index.walls))]),
     )
 
 
@@ -102,31 +103,30 @@ def no_walls() -> WallIndex:
 
 
 def joined_grids(grids: np.ndarray, others: np.ndarray, count: int) -> np.ndarray:
-    """Return the squares of both pools of plans, there being `count` of them in the first one."""
+    """Return the grids of both pools of plans; the first pool has `count` cells."""
     joined = np.concatenate([grids, others])
     joined["first"][len(grids) :] += count
     return joined
 
 
 @compiled
-def list_walls(walls, west, south, columns, reach, used, ends, listed):
-    """Count, or list, the walls that a point in each tile may meet: at most `reach` metres away, and facing it.
+def list_walls(walls, grid, reach, inside, ends, listed):
+    """Count, or list, the walls that a point in each tile can see: at most `reach` metres away, and facing it.
 
     Parameters
     ----------
     walls : (W, 4) float64
-    west, south : float
-        The tiles' south-west corner.
-    columns : int
+    grid : GRID record
+        The tiles.
     reach : float
-    used : (T,) bool
-        Tiles to have a list.
+    inside : (T,) bool
+        Which tiles get a list.
     ends : (T,) int64
-        Written: where the list of each tile ends; where it begins, before. That counts the walls if it is 0.
+        Where the list of each tile begins; afterwards, where it ends. Zeros become the numbers of walls.
     listed : (L,) int32
-        Written: the walls' numbers, ascending for each tile. If it is empty, nothing is.
+        Written to, unless it is empty: the walls' indices, ascending in each tile.
     """
-    rows = used.shape[0] // columns
+    west, south, columns, rows = grid.west, grid.south, grid.columns, grid.rows
     for w in range(walls.shape[0]):
         x1, y1, x2, y2 = walls[w, 0], walls[w, 1], walls[w, 2], walls[w, 3]
         first_column = max(int((min(x1, x2) - reach - west) / TILE_SIZE) - 1, 0)
@@ -136,14 +136,14 @@ def list_walls(walls, west, south, columns, reach, used, ends, listed):
         for row in range(first_row, last_row + 1):
             for column in range(first_column, last_column + 1):
                 tile = row * columns + column
-                if not used[tile]:
+                if not inside[tile]:
                     continue
-                # From the tile's middle, in which its corners are at -half and half.
+                # Seen from the tile's middle, its corners are at -half and half.
                 half = 0.5 * TILE_SIZE
                 x, y = west + TILE_SIZE * (column + 0.5), south + TILE_SIZE * (row + 0.5)
                 dx, dy = x2 - x1, y2 - y1
                 area = dx * (y - y1) - dy * (x - x1)
-                if area + half * (abs(dx) + abs(dy)) <= -ROUNDING:  # behind it as a whole
+                if area + half * (abs(dx) + abs(dy)) <= -ROUNDING:  # all of the tile is behind the wall
                     continue
                 if _square_distance(x1 - x, y1 - y, x2 - x, y2 - y, half) <= reach * reach:
                     if listed.shape[0]:
@@ -178,7 +178,7 @@ def _square_distance(x1, y1, x2, y2, half):
 
 @compiled
 def cell_index(grid, size, x, y):
-    """Return the number of the square of side `size` in which (x, y) lies; the nearest one for a point outside."""
+    """Return the index of the cell, of side `size`, in which (x, y) lies; the nearest one for a point outside."""
     column = min(max(int((x - grid.west) / size), 0), grid.columns - 1)
     row = min(max(int((y - grid.south) / size), 0), grid.rows - 1)
     return grid.first + row * grid.columns + column

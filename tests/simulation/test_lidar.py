@@ -23,12 +23,12 @@ class Scanner:
     """The compiled laser in one plan."""
 
     def __init__(self, plan: FloorPlan, laser: LaserConfig = LASER) -> None:
-        self.tiles, self.beams = build_wall_index(plan, laser.range_max), laser_beams(laser)
+        self.walls, self.beams = build_wall_index(plan, laser.range_max), laser_beams(laser)
         self.laser = laser
 
     def __call__(self, x: float, y: float, heading: float) -> np.ndarray:
         ranges, scratch = np.empty(self.laser.num_beams), np.empty(2 * self.laser.num_beams)
-        scan_row(self.tiles, 0, x, y, heading, self.beams, scratch, ranges)
+        scan_row(self.walls, 0, (x, y, heading), self.beams, scratch, ranges)
         return ranges
 
 
@@ -75,8 +75,8 @@ def test_it_equals_its_twin_in_line_with_corners_and_walls(plan: FloorPlan) -> N
 
 @pytest.mark.parametrize("reach", [0.3, 3.0, 12.0])
 def test_each_tile_lists_the_walls_within_reach_that_face_it(plan: FloorPlan, reach: float) -> None:
-    tiles = build_wall_index(plan, reach)
-    west, south, columns, rows, _ = tiles.grids[0]
+    index = build_wall_index(plan, reach)
+    west, south, columns, rows, _ = index.grids[0]
     walls = shapely.linestrings(plan.walls.reshape(-1, 2, 2))
     x1, y1, x2, y2 = plan.walls.T
     rng = np.random.default_rng(0)
@@ -88,7 +88,7 @@ def test_each_tile_lists_the_walls_within_reach_that_face_it(plan: FloorPlan, re
         expected = np.flatnonzero((left > -1e-6).any(axis=1) & (shapely.distance(walls, box) <= reach + 1e-6))
         if not plan.free_space.intersects(box):
             expected = expected[:0]
-        assert tiles.indices[tiles.offsets[tile] : tiles.offsets[tile + 1]].tolist() == expected.tolist()
+        assert index.indices[index.offsets[tile] : index.offsets[tile + 1]].tolist() == expected.tolist()
 
 
 def test_no_beam_leaks_out_of_any_plan(plan: FloorPlan) -> None:

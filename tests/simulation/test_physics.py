@@ -121,7 +121,7 @@ def test_spaces_hold_few_robots_and_go_when_the_last_one_leaves(square_room: Flo
     simulation = Simulation(ROBOT, [square_room, other], 300)
     for row in range(300):
         simulation.place(row, 0, square_room.start)
-    sizes = [len(world.bodies) for world in simulation.worlds]
+    sizes = [len(world.body_of) for world in simulation.worlds]
     assert sum(sizes) == 300
     assert max(sizes) <= WORLD_SIZE_MAX
     for row in range(300):

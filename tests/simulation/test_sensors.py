@@ -120,8 +120,8 @@ def fields(places: np.ndarray, noise: NoiseConfig, robots: int = RNGS) -> np.nda
     sensors = Sensors([noise], LASER, robots)
     for row in range(robots):
         sensors.reset_row(row, np.random.default_rng(row))
-    amplitude = sensors._terms["field_amplitude"][0]
-    values = [[field_at(waves, amplitude, x, y) for x, y in places] for waves in sensors._field]
+    amplitude = sensors.errors["field_amplitude"][0]
+    values = [[field_at(waves, amplitude, x, y) for x, y in places] for waves in sensors.field]
     return np.degrees(values)
 
 

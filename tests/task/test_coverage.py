@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import itertools
 import math
+from pathlib import Path
 
 import numpy as np
 import pytest
 import shapely
+from shapely import box
 
 from cyclic_env import CyclicLoopEnv
-from cyclic_env.config import CoverageConfig, LaserConfig
-from cyclic_env.floor_plans import FloorPlan
+from cyclic_env.config import CoverageConfig, LaserConfig, RobotConfig
+from cyclic_env.floor_plans import FloorPlan, write_floor_plan
 from cyclic_env.simulation.lidar import laser_beams, scan
-from cyclic_env.task.coverage import build_coverage_grid, mark_scan, seen_cells
+from cyclic_env.task.coverage import build_coverage_grid, mark_scan, seen_cells, visible_share
 
 LASER = LaserConfig()
 
@@ -53,9 +55,7 @@ def test_a_scan_marks_the_free_cells_that_its_beams_pass(plan: FloorPlan) -> Non
         pose = np.array([x, y, rng.uniform(-3, 3)])
         grid.seen[:] = False
         ranges = scan(plan.walls, pose, LASER)
-        count = mark_scan(
-            grid.grids[0], grid.cell_size, grid.number, grid.seen[0], *pose, laser_beams(LASER).directions, ranges
-        )
+        count = mark_scan(grid, 0, 0, tuple(pose), laser_beams(LASER), ranges)
         picture = seen_cells(grid, 0, 0)
         expected = {cell for cell in cells_on_beams(plan, pose) if picture[cell] >= 0}
         marked = {(int(row), int(column)) for row, column in np.argwhere(picture == 1)}
@@ -87,3 +87,28 @@ def test_a_robot_that_stands_still_marks_the_start_only_and_is_paid_in_step_1() 
     seen = info["coverage"]
     terms = [env.step(np.zeros(4))[-1]["reward_terms"]["coverage"] for _ in range(5)]
     assert terms == [pytest.approx(50 * seen), 0, 0, 0, 0]
+
+
+def with_a_hidden_nook(side: float) -> FloorPlan:
+    """Return a room of 20 m, and a square nook at the end of a bent slit that is too narrow for the robot."""
+    slit = box(20, 10, 21, 10.2).union(box(20.8, 10, 21, 13))
+    nook = box(21, 13 - 0.2, 21 + side, 13 - 0.2 + side)
+    space = box(0, 0, 20, 20).union(slit).union(nook)
+    assert isinstance(space, shapely.Polygon)
+    return FloorPlan("nook", space, (5.0, 5.0, 0.0))
+
+
+def test_cells_that_no_reachable_position_sees_lack_in_the_visible_share() -> None:
+    share = visible_share(with_a_hidden_nook(2.4), 0.25, 12.0, CoverageConfig())
+    assert share == pytest.approx(1 - 2.4**2 / (400 + 2.4**2), abs=0.004)
+
+
+def test_a_file_is_warned_of_of_which_too_much_is_hidden(tmp_path: Path) -> None:
+    write_floor_plan(with_a_hidden_nook(2.4), tmp_path / "nook.yaml")
+    with pytest.warns(UserWarning, match=r"1\.\d% of the free cells can't be seen"):
+        CyclicLoopEnv(tmp_path / "nook.yaml").close()
+    CyclicLoopEnv(tmp_path / "nook.yaml", coverage={"complete": 0.95}).close()
+
+
+def test_all_of_every_shipped_plan_can_be_seen(plan: FloorPlan) -> None:
+    assert visible_share(plan, RobotConfig().radius, LASER.range_max, CoverageConfig()) >= 0.99
