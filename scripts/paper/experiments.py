@@ -188,4 +188,4 @@ def intervals(frame: pd.DataFrame, by: Sequence[str], metric: str) -> pd.DataFra
         low, high = mean_interval(numbers) if len(numbers) >= 5 else (np.nan, np.nan)
         return pd.Series({"mean": numbers.mean(), "low": low, "high": high, "n": len(numbers)})
 
-    return frame.groupby(list(by), sort=False)[metric].apply(entry).unstack()
+    return pd.DataFrame(frame.groupby(list(by), sort=False)[metric].apply(entry).unstack())

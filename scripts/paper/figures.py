@@ -84,7 +84,7 @@ class _Diagram:
 
     def box(self, place: Place, text: str, width: float = 2.9, height: float = 0.5) -> None:
         x, y = place
-        style = {"boxstyle": "round,pad=0.02", "facecolor": "#f3efe4", "edgecolor": "#333333"}
+        style: dict[str, Any] = {"boxstyle": "round,pad=0.02", "facecolor": "#f3efe4", "edgecolor": "#333333"}
         self.axes.add_patch(FancyBboxPatch((x - width / 2, y - height / 2), width, height, **style))
         self.axes.text(x, y, text, ha="center", va="center", fontsize=8)
 
@@ -94,13 +94,13 @@ class _Diagram:
         self.axes.add_patch(Polygon(corners, facecolor="#e4ecf5", edgecolor="#333333"))
         self.axes.text(x, y, text, ha="center", va="center", fontsize=8)
 
-    def arrow(self, *places: Place, label: str = "", beside: Place = (0.08, 0.1)) -> None:
+    def arrow(self, start: Place, *places: Place, label: str = "", beside: Place = (0.08, 0.1)) -> None:
         style = {"arrowstyle": "-|>", "color": "#333333", "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
-        if len(places) > 2:
-            self.axes.plot(*zip(*places[:-1], strict=True), color="#333333", linewidth=1.0)
-        self.axes.annotate("", xy=places[-1], xytext=places[-2], arrowprops=style)
+        corners = [start, *places]
+        self.axes.plot(*zip(*corners[:-1], strict=True), color="#333333", linewidth=1.0)
+        self.axes.annotate("", xy=corners[-1], xytext=corners[-2], arrowprops=style)
         if label:
-            x, y = places[0]
+            x, y = start
             self.axes.text(x + beside[0], y + beside[1], label, fontsize=8, color="#333333", va="center")
 
 
@@ -216,7 +216,7 @@ def indicators_and_position(lap: SecondLap) -> Figure:
         "Indicators, groups, KNN and position",
         f"{direction.sum()} of {n} rows have the direction, {near.sum()} of them lie near; found: {error:.1f} m away",
     )
-    style = {"linestyle": "", "marker": "."}
+    style: dict[str, Any] = {"linestyle": "", "marker": "."}
     axes.plot(*record.position[:n][~direction].T, markersize=2, color="#c8c8c8", label="another direction", **style)
     axes.plot(*record.position[:n][direction].T, markersize=4, color=BLUE, label="the same direction", **style)
     axes.plot(*record.position[:n][near].T, markersize=7, color=ORANGE, label="and near", **style)
@@ -231,8 +231,16 @@ def _near_start(lap: SecondLap, distances: np.ndarray, search: str) -> tuple[int
 
 def _mark_answer(axes: Axes, lap: SecondLap, query: int, found: int) -> None:
     axes.plot(*lap.record.position[found], marker="X", markersize=9, linestyle="", color=RED, label="found", zorder=6)
-    style = {"marker": "D", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.8, "color": BLACK}
-    axes.plot(*lap.record.position[lap.rows + query], linestyle="", label="the robot", zorder=7, **style)
+    style: dict[str, Any] = {
+        "marker": "D",
+        "markersize": 8,
+        "markerfacecolor": "none",
+        "markeredgewidth": 1.8,
+        "color": BLACK,
+    }
+    axes.plot(
+        *lap.record.position[lap.rows + query], linestyle="", markeredgewidth=1.8, label="the robot", zorder=7, **style
+    )
     add_legend(axes)
 
 
@@ -262,7 +270,7 @@ def growth(frame: pd.DataFrame) -> Figure:
     axes, times = figure.subplots(1, 2)
     bins = pd.cut(frame.path_m / 1000, 40)
     binned = frame.groupby(bins, observed=True)
-    kilometres = [interval.mid for interval in binned.groups]
+    kilometres = binned.path_m.mean() / 1000
     labels = {"points": "all points", "direction": "earlier groups of the direction", "groups": "their centres"}
     for (name, label), color, line in zip(labels.items(), (RED, BLUE, BLACK), ("-", "--", ":"), strict=True):
         axes.plot(kilometres, binned[name].mean(), color=color, linestyle=line, label=label)
@@ -302,7 +310,7 @@ def measures(frame: pd.DataFrame) -> Figure:
     """Return the average precision of each measure, with 95 % intervals over plans, for both kinds of vectors."""
     figure = Figure((10, 3.4), layout="constrained")
     for axes, vectors in zip(figure.subplots(1, 2, sharey=True), (SECTORS, BEAMS), strict=True):
-        mine = frame[(frame.vectors == vectors) & (frame.search == "direction") & (frame.noise == "calibrated")]
+        mine = frame.query("vectors == @vectors and search == 'direction' and noise == 'calibrated'")
         entries = intervals(mine, ("measure",), "average_precision").loc[list(MEASURES)[::-1]]
         low, high = entries.low.fillna(entries["mean"]), entries.high.fillna(entries["mean"])
         span = np.maximum([entries["mean"] - low.clip(0), high.clip(upper=1) - entries["mean"]], 0)

@@ -196,11 +196,11 @@ class Cells:
 
     def mean(self, metric: str, *key: Any) -> float:
         """Return the mean of a metric."""
-        return float(self.rows(*key)[metric].mean())
+        return float(self.rows(*key)[metric].to_numpy(float).mean())
 
     def total(self, metric: str, *key: Any) -> int:
         """Return the sum of a count."""
-        return int(self.rows(*key)[metric].sum())
+        return int(self.rows(*key)[metric].to_numpy().sum())
 
     def count(self, *key: Any) -> int:
         """Return the number of rows."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
@@ -49,7 +49,7 @@ class Store:
 
     def __init__(self, folder: Path, processes: int = 2) -> None:
         self._memory = Memory(folder, verbose=0)
-        self._run = self._memory.cache(_run)
+        self._run: Any = self._memory.cache(_run)
         self.processes = processes
 
     def record(self, settings: RunSettings) -> RunRecord:
@@ -72,7 +72,7 @@ class Store:
             parallel_config("loky", n_jobs=self.processes, initializer=_ignore_interrupts),
             progress_bar(total=len(runs), unit="run", initial=len(runs) - len(left)) as progress,
         ):
-            finished: Iterator[Any] = Parallel(return_as="generator_unordered")(
+            finished: Any = Parallel(return_as="generator_unordered")(
                 delayed(_keep)(self._run, settings, code) for settings in left
             )
             for _ in finished:
