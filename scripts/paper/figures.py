@@ -231,16 +231,8 @@ def _near_start(lap: SecondLap, distances: np.ndarray, search: str) -> tuple[int
 
 def _mark_answer(axes: Axes, lap: SecondLap, query: int, found: int) -> None:
     axes.plot(*lap.record.position[found], marker="X", markersize=9, linestyle="", color=RED, label="found", zorder=6)
-    style: dict[str, Any] = {
-        "marker": "D",
-        "markersize": 8,
-        "markerfacecolor": "none",
-        "markeredgewidth": 1.8,
-        "color": BLACK,
-    }
-    axes.plot(
-        *lap.record.position[lap.rows + query], linestyle="", markeredgewidth=1.8, label="the robot", zorder=7, **style
-    )
+    x, y = lap.record.position[lap.rows + query]
+    axes.scatter(x, y, 64, marker="D", facecolors="none", edgecolors=BLACK, linewidths=1.8, label="the robot", zorder=7)
     add_legend(axes)
 
 

@@ -192,7 +192,7 @@ class Cells:
 
     def rows(self, *key: Any) -> pd.DataFrame:
         """Return the rows of a key."""
-        return self._frame[np.logical_and.reduce([self._frame[c] == k for c, k in zip(self._by, key, strict=True)])]
+        return self._frame.loc[np.logical_and.reduce([self._frame[c] == k for c, k in zip(self._by, key, strict=True)])]
 
     def mean(self, metric: str, *key: Any) -> float:
         """Return the mean of a metric."""
