@@ -56,18 +56,23 @@ def load_contestant(name: str, action_type: ActionType | None = None) -> Contest
             raise ConfigError(f"there is no model file {name}.")
         raise ConfigError(unknown_name("agent", name, agent_names()) + " Or give the file of a model.")
     require_learning()
+    from agents.rl.headings.agent import HeadingsAgent
+    from agents.rl.headings.env import CyclicLoopHeadingsVectorEnv
     from agents.rl.storage import check_fits, load_trained
 
     trained = load_trained(path)
+    task = trained.settings.task if trained.settings else "cyclic_loop"
     its_type = trained.settings.action_type if trained.settings else None
     if action_type and its_type and action_type != its_type:
         raise ConfigError(f"{name} was trained with action type {its_type!r}, not {action_type!r}.")
     action_type = action_type or its_type or "wheels"
-    trial = CyclicLoopVectorEnv(1, "ring", action_type=action_type)
+    make_env = CyclicLoopHeadingsVectorEnv if task == "headings" else CyclicLoopVectorEnv
+    trial = make_env(1, "ring", action_type=action_type)
     check_fits(path, trained.model, trial.single_observation_space, trial.single_action_space)
     trial.close()
+    policy = HeadingsAgent(trained.model) if task == "headings" else trained.model
     map_name = trained.settings.map_name if trained.settings else ()
-    return Contestant(name=name, policy=trained.model, action_type=action_type, map_name=map_name)
+    return Contestant(name=name, policy=policy, action_type=action_type, map_name=map_name)
 
 
 def compare(

@@ -46,6 +46,8 @@ _EXPLORERS = {
     "knn_looks_only": preset("extended", detector="knn"),
     "knn_position_only": preset("extended", detector="position"),
     "knn_paper": preset("paper"),
+    "knn_paper_appearance": preset("paper", detector="knn"),
+    "knn_paper_position": preset("paper", detector="position"),
 }
 
 

@@ -297,6 +297,52 @@ def measure_stable_baselines() -> Iterator[Row]:
     yield Row("SB3", "PPO, collecting and learning, N = 64", rate, "robot-steps/s")
 
 
+def measure_headings(quick: bool) -> Iterator[Row]:
+    """Train the task headings with 256 robots on generated buildings, everything in; and where the time goes."""
+    try:
+        require_learning()
+    except ConfigError as error:
+        yield Row("headings", f"not measured: {error}", math.nan, "")
+        return
+    import torch
+
+    from agents.rl.headings.vec_env import HeadingsVecEnv
+    from agents.rl.models import hyperparameter_file, new_model, read_hyperparameters
+
+    torch.set_num_threads(1)
+    hyperparameters = read_hyperparameters(hyperparameter_file("headings", "maskable_ppo"), "maskable_ppo")
+    env = HeadingsVecEnv(256, map_name=[f"generated:cycles=4,seed={seed}" for seed in range(16)], noise="calibrated")
+    model = new_model("maskable_ppo", hyperparameters, env, 0, discrete=True)
+    update = model.n_steps * env.num_envs  # pyright: ignore[reportAttributeAccessIssue]
+    model.learn(update)  # the maps fill, and the kernels are compiled
+    seconds = {"update": 0.0, "step": 0.0}
+    for owner, name, stage in ((model, "train", "update"), (env, "step_wait", "step")):
+        setattr(owner, name, timed(getattr(owner, name), seconds, stage))
+    before, begin, updates = dict(env.env.seconds), time.perf_counter(), 1 if quick else 3
+    model.learn(updates * update)
+    total = time.perf_counter() - begin
+    stages = {stage: env.env.seconds[stage] - before[stage] for stage in before}
+    yield Row("headings", "MaskablePPO, N = 256", updates * update / total, "decisions/s", least=1500)
+    stages["network"] = total - seconds["update"] - seconds["step"]
+    stages["update"] = seconds["update"]
+    for stage, spent in stages.items():
+        yield Row("headings", f"share of {stage}", 100 * spent / total, "%")
+    env.close()
+
+
+def timed(function: Callable[..., Any], seconds: dict[str, float], stage: str) -> Callable[..., Any]:
+    """Return the function, which from now on adds the time that it takes to a stage."""
+
+    def run(*arguments: Any, **settings: Any) -> Any:
+        begin = time.perf_counter()
+        try:
+            return function(*arguments, **settings)
+        finally:
+            seconds[stage] += time.perf_counter() - begin
+
+    return run
+
+
 def run_python(code: str, **environment: str) -> float:
     """Run a program in a process of its own, and return the number that it prints last."""
     result = subprocess.run(
@@ -384,6 +430,7 @@ def main(arguments: Sequence[str] | None) -> None:
         measure_pool,
         measure_phases,
         measure_stable_baselines,
+        lambda: measure_headings(args.quick),
         lambda: measure_memory(20 if args.quick else 200),
         measure_start_up,
     ]

@@ -8,19 +8,126 @@ if __name__ == "__main__":
     run_script(__file__)
 
 import argparse
+import itertools
 import json
-from collections.abc import Sequence
+import multiprocessing
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
-from agents.knn.config import THRESHOLDS
+import numpy as np
+
+from agents.knn.config import THRESHOLDS, preset
+from agents.knn.loop_detector import AppearanceDetector, CombinedDetector
+from agents.knn.policy import KnnPolicy
+from agents.knn.similarity import MEASURES
+from agents.slam.keyframes import Keyframes
+from cyclic_env import CyclicLoopEnv
 from cyclic_env.atomic_write import check_writable, write_text_atomically
+from cyclic_env.config import ClosureConfig, RewardConfig
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans.generator.spec import SPLITS
-from scripts._cli import command, interruptible, progress_bar
-from scripts.paper.cache import Cache, check_processes, run_all
-from scripts.paper.thresholds import thresholds_file, training_runs
+from cyclic_env.task.judgement import true_returns
+from cyclic_env.task.loop_closure import ELSEWHERE, RETURNS
+from scripts._cli import command, progress_bar
 
-PLANS = 20
+PLANS, PROCESSES_MAX = 20, 64
+NOISES = ("ideal", "calibrated")
+DETECTORS = {"both": CombinedDetector, "knn": AppearanceDetector}
+REWARD = RewardConfig()
+DIGITS = 9
+"""Decimals kept: the rounding of a cosine is far below, the steps between places far above."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingRun:
+    """The keyframes of a run, and which of them are the same place."""
+
+    columns: dict[str, np.ndarray]
+    """By the attributes of `Keyframes`, each `(n, ...)`."""
+    truth: np.ndarray
+    """`(n, n)`, as from `true_returns`."""
+
+
+def training_run(index: int, noise: str) -> TrainingRun:
+    """Let the extended explorer drive a training plan; its way doesn't depend on any threshold."""
+    env, policy = CyclicLoopEnv(f"generated:train,index={index}", noise=noise), KnnPolicy()
+    observation, _ = env.reset(seed=index)
+    state, ended = None, False
+    while not ended:
+        action, state = policy.predict(observation, state)
+        observation, _, terminated, truncated, _ = env.step(action)
+        ended = terminated or truncated or state[0].done
+    assert state is not None
+    keyframes, trajectory = state[0].keyframes, env.trajectory()
+    names = ("features", "direction", "group", "step", "path", "odometry")
+    columns = {name: getattr(keyframes, name).copy() for name in names}
+    truth = true_returns(env.floor_plan, trajectory, keyframes.step, ClosureConfig())
+    env.close()
+    return TrainingRun(columns, truth)
+
+
+def revisits(run: TrainingRun) -> int:
+    """Return how many keyframes of a run return to an earlier one."""
+    return int((run.truth == RETURNS).any(axis=1).sum())
+
+
+def answers(run: TrainingRun, detector: AppearanceDetector) -> tuple[np.ndarray, np.ndarray]:
+    """Return the similarity of the vote's answer at each keyframe that has one, and the truth about it."""
+    keyframes = Keyframes(1, run.columns["features"].shape[2])
+    similarities, outcomes = [], []
+    for i in range(len(run.truth)):
+        keyframes.add(**{name: column[i] for name, column in run.columns.items()})
+        rows, likeness = detector.vote.nearest(keyframes, detector.candidates(keyframes))
+        if len(rows):
+            similarities.append(float(likeness[0]))
+            outcomes.append(int(run.truth[i, rows[0]]))
+    return np.array(similarities), np.array(outcomes, np.int64)
+
+
+def best_threshold(similarity: np.ndarray, outcome: np.ndarray, total: int) -> dict[str, float]:
+    """Return the threshold that is worth most by the environment's reward, and the scores there.
+
+    A right answer is worth a missed revisit, a wrong one costs a false claim. Where no threshold is worth anything, it
+    is the one of the best F1 score.
+
+    Parameters
+    ----------
+    similarity, outcome : (q,)
+        Of all answers. Those that a claim would be ignored for count neither way.
+    total : int
+        Keyframes that return anywhere, of which the recall is.
+    """
+    certain = outcome >= ELSEWHERE
+    order = np.argsort(-similarity[certain], kind="stable")
+    similarity, right = similarity[certain][order], outcome[certain][order] == RETURNS
+    last = np.flatnonzero(np.append(np.diff(similarity) < 0, True))
+    taken = similarity[last]
+    precision, recall = np.cumsum(right)[last] / (last + 1), np.cumsum(right)[last] / total
+    f1 = 2 * precision * recall / np.maximum(precision + recall, 1e-12)
+    rights = np.cumsum(right)[last]
+    worth = -REWARD.missed_revisit * rights + REWARD.false_claim * (last + 1 - rights)
+    best, surest = int(np.argmax(worth if worth.max(initial=0.0) > 0 else f1)), int(np.argmax(precision))
+    # Between the last answer that is taken and the first that is not: "above the threshold" is the rule.
+    beyond = taken[best + 1] if best + 1 < len(taken) else taken[best] - 10.0**-DIGITS
+    entry = {"threshold": (taken[best] + beyond) / 2, "f1": f1[best], "precision": precision[best]}
+    entry |= {"recall": recall[best], "highest_precision": precision[surest], "recall_there": recall[surest]}
+    return {name: round(float(value), DIGITS) for name, value in entry.items()}
+
+
+def calibrate(runs: Sequence[TrainingRun]) -> dict[str, dict[str, dict[str, float]]]:
+    """Return for each detector and measure the best threshold over all runs, and its scores."""
+    total = sum(revisits(run) for run in runs)
+    result: dict[str, dict[str, dict[str, float]]] = {}
+    for detector, kind in DETECTORS.items():
+        for measure in MEASURES:
+            config = preset("paper", detector=detector, measure=measure, threshold=-1.0)
+            pairs = [answers(run, kind(config)) for run in runs]
+            similarity, outcome = (np.concatenate(columns) for columns in zip(*pairs, strict=True))
+            result.setdefault(detector, {})[measure] = best_threshold(similarity, outcome, total)
+    return result
 
 
 @command
@@ -29,26 +136,39 @@ def main(arguments: Sequence[str] | None) -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--plans", type=int, default=PLANS, help=f"how many of the train split (default {PLANS})")
     parser.add_argument("--out", type=Path, default=THRESHOLDS, help="file to write (default the explorer's own)")
-    parser.add_argument("--cache", type=Path, default=Path("out/paper/cache"), help="folder that keeps finished runs")
     parser.add_argument("--processes", type=int, default=2, help="at once (default 2)")
     args = parser.parse_args(arguments)
     most = SPLITS["train"].plans
     if not 1 <= args.plans <= most:
         raise ConfigError(f"--plans is {args.plans}; expected 1 to {most}, the plans of the train split.")
-    check_processes(args.processes)
+    if not 1 <= args.processes <= PROCESSES_MAX:
+        raise ConfigError(f"--processes is {args.processes}; expected 1 to {PROCESSES_MAX}.")
     check_writable(args.out)
-    check_writable(args.cache / "file")
-    cache, runs = Cache(args.cache), training_runs(args.plans)
-    with interruptible() as interruption, progress_bar(unit="run") as progress:
-        for done, count in run_all(cache, runs, args.processes):
-            progress.total = count
-            progress.update(done - progress.n)
-    if interruption:
-        raise interruption.stopped("finished runs are kept, and used next time.")
-    records = [cache.record(settings) for settings in runs]
-    command_line = f"python scripts/calibrate_thresholds.py --plans {args.plans}"
-    result = thresholds_file(records, args.plans, command_line)
+    jobs = [(index, noise) for index in range(args.plans) for noise in NOISES]
+    with progress_bar(unit="run", total=len(jobs)) as progress:
+        runs = []
+        for run in each_run(jobs, args.processes):
+            runs.append(run)
+            progress.update()
+    result: dict[str, Any] = {
+        "command": f"python scripts/calibrate_thresholds.py --plans {args.plans}",
+        "plans": f"generated:train, index 0 to {args.plans - 1}; noise {' and '.join(NOISES)}; preset extended",
+        "rule": "vote of 4 among earlier tables of the same direction; most worth by the reward, else best F1",
+        "rows": sum(len(run.truth) for run in runs),
+        "revisits": sum(revisits(run) for run in runs),
+        "detectors": calibrate(runs),
+    }
     write_text_atomically(args.out, json.dumps(result, indent=1) + "\n")
-    for name, entry in result["measures"].items():
-        print(f"{name:>12}  " + "  ".join(f"{key} {value:.4f}" for key, value in entry.items()))
+    for detector, measures in result["detectors"].items():
+        for name, entry in measures.items():
+            print(f"{detector:>5} {name:>12}  " + "  ".join(f"{key} {value:.4f}" for key, value in entry.items()))
     print(f"\nwritten: {args.out}")
+
+
+def each_run(jobs: Sequence[tuple[int, str]], processes: int) -> Iterator[TrainingRun]:
+    """Yield the training runs in the order of the jobs."""
+    if processes == 1:
+        yield from itertools.starmap(training_run, jobs)
+        return
+    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+        yield from pool.map(training_run, *zip(*jobs, strict=True))

@@ -33,10 +33,11 @@ from cyclic_env.floor_plans import (
 from cyclic_env.floor_plans.occupancy.dropped import dropped_remark
 from cyclic_env.floor_plans.occupancy.grid import UNKNOWN
 from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES
+from cyclic_env.floor_plans.occupancy.tracing import STAGES
 from cyclic_env.floor_plans.yaml_io import name_of, read_yaml
 from cyclic_env.rendering.colors import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
 from cyclic_env.validation import short_repr
-from scripts._cli import command
+from scripts._cli import command, progress_bar
 
 EXAMPLES = """examples:
   python scripts/import_map.py willow.yaml --out my_plan.yaml --figure my_plan.png
@@ -125,10 +126,17 @@ def import_plan(args: argparse.Namespace) -> tuple[FloorPlan, OccupancyGrid]:
     began = time.perf_counter()
     grid = read_occupancy_grid(source, args.resolution if is_picture(source) else None)
     read = time.perf_counter()
-    try:
-        tracing = trace_floor_plan(grid, start=tuple(args.start) if args.start else None, **sizes(args))
-    except CyclicLoopError as error:
-        raise ConfigError(f"{source}: {error}") from error
+    with progress_bar(len(STAGES), "stage") as progress:
+
+        def show(stage: str) -> None:
+            progress.update(STAGES.index(stage) - progress.n)
+            progress.set_description(f"tracing: {stage}")
+
+        try:
+            start = tuple(args.start) if args.start else None
+            tracing = trace_floor_plan(grid, start=start, progress=show, **sizes(args))
+        except CyclicLoopError as error:
+            raise ConfigError(f"{source}: {error}") from error
     plan = tracing.plan
     if not plan.source:
         plan = replace(plan, source=f"traced from {name_of(source)}{source.suffix} by scripts/import_map.py")

@@ -50,7 +50,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
         help=f"{', '.join(map_names())}, a file, or a building such as generated:seed=7 (default killian_court)",
     )
     parser.add_argument("--preset", default="extended", help=f"{' or '.join(PRESETS)} (default extended)")
-    parser.add_argument("--detector", help=f"{', '.join(DETECTORS)} (default: both; with paper: knn)")
+    parser.add_argument("--detector", help=f"{', '.join(DETECTORS)} (default both)")
     parser.add_argument(
         "--measure",
         help=f"of similarity: {', '.join(MEASURES)} (default cosine); it changes little where the position leaves few "
@@ -217,6 +217,7 @@ class Run:
             "reward_terms": self.reward_terms,
             "ending": self.ending,
             "stopped_at": self.stopped_at,
+            "stop_reason": self.explorer.stop_reason,
             "path_over_tour": None if math.isnan(tour) else self.info["path_length_m"] / tour,
             "groups": len(self.explorer.groups),
             "rows": self.explorer.keyframes.count,
@@ -288,7 +289,7 @@ def score_table(metrics: dict[str, Any]) -> str:
         if (seconds := metrics[f"seconds_per_step_{name}"]) is not None
     ]
     since = metrics["stopped_at"]
-    stopped = "" if since is None else f"; nothing left to explore from step {since:,} on"
+    stopped = "" if since is None else f"; nothing left to explore from step {since:,} on ({metrics['stop_reason']})"
     rows = {
         "run": f"{metrics['map']}, {metrics['noise']} sensors, seed {metrics['seed']}, {metrics['preset']}, "
         f"{metrics['detector']}, {metrics['measure']}",

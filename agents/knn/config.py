@@ -32,9 +32,14 @@ THRESHOLDS = Path(__file__).with_name("thresholds.json")
 """Written by ``scripts/calibrate_thresholds.py``."""
 
 
-@lru_cache(maxsize=1)
-def calibrated_thresholds() -> dict[str, float]:
+@lru_cache
+def calibrated_thresholds(detector: str = "both") -> dict[str, float]:
     """Return for each measure the similarity above which a place counts as visited, as calibrated on training plans.
+
+    Parameters
+    ----------
+    detector : {"both", "knn"}
+        Whether only keyframes near by dead reckoning are compared, or all of them.
 
     Raises
     ------
@@ -42,7 +47,7 @@ def calibrated_thresholds() -> dict[str, float]:
         If their file is missing or damaged.
     """
     try:
-        measures = json.loads(THRESHOLDS.read_text(encoding="utf-8"))["measures"]
+        measures = json.loads(THRESHOLDS.read_text(encoding="utf-8"))["detectors"][detector]
         return {name: float(measures[name]["threshold"]) for name in MEASURES}
     except (OSError, ValueError, LookupError, TypeError) as error:
         hint = "make it with scripts/calibrate_thresholds.py"
@@ -200,7 +205,7 @@ class ExplorerConfig:
     @property
     def least_similarity(self) -> float:
         """The threshold, or the calibrated one of the measure."""
-        return calibrated_thresholds()[self.measure] if self.threshold is None else self.threshold
+        return calibrated_thresholds(self.detector)[self.measure] if self.threshold is None else self.threshold
 
     def fitted(self, laser: LaserConfig, robot: RobotConfig) -> ExplorerConfig:
         """Return these settings for another laser and robot: its reach, radius, speed and step.
@@ -229,13 +234,12 @@ class ExplorerConfig:
 
 PRESETS: dict[str, ExplorerConfig] = {
     "paper": ExplorerConfig(
-        detector="knn",
         both_directions=False,
         match_scans=False,
-        unbounded_only=True,
         go_on=True,
-        join=False,
         order="first in first out",
+        asked_rows=5,
+        loops=DetectorConfig(position_radius=2.5),
     ),
     "extended": ExplorerConfig(),
 }

@@ -59,6 +59,13 @@ class KnnExplorer(LoopObserver, Agent):
             return Decision(speed, turn)
         return Decision(speed, turn, claim=True, match=match_of(step, self.steps))
 
+    @property
+    def stop_reason(self) -> str | None:
+        """Why nothing is left to explore; None as long as there is something."""
+        if not self.done:
+            return None
+        return "only openings left that it doesn't go to" if len(self.frontiers) else "list empty"
+
     def _is_due(self) -> bool:
         """Whether it is time for a keyframe: after a while, and at the goal."""
         arrived = self.planner.has_arrived(self.tracker.pose) and self.moved > self.config.observer.arrival_spacing

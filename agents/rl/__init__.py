@@ -6,7 +6,7 @@ from gymnasium.envs.registration import register, registry
 
 from cyclic_env.errors import ConfigError
 
-PACKAGES = ("stable_baselines3", "torch")
+PACKAGES = ("stable_baselines3", "sb3_contrib", "torch")
 """Packages of the extra ``train``."""
 
 

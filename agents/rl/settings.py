@@ -3,42 +3,74 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
+from pathlib import Path
 from typing import Any
 
-from stable_baselines3 import A2C, PPO, SAC, TD3
-from stable_baselines3.common.base_class import BaseAlgorithm
+from gymnasium.vector import AutoresetMode, VectorEnv
 
+from agents.rl.headings.env import CyclicLoopHeadingsVectorEnv
+from agents.rl.headings.vec_env import HeadingsVecEnv
+from agents.rl.models import ALGORITHMS, TASKS, hyperparameter_file, read_hyperparameters
 from agents.rl.vec_env import CyclicLoopVecEnv
+from cyclic_env import CyclicLoopVectorEnv
 from cyclic_env.config import ACTION_TYPES, ActionType, noise_from_name
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import load_floor_plans, separate_names
 from cyclic_env.validation import check_choice
 
-ALGORITHMS: Mapping[str, type[BaseAlgorithm]] = {"a2c": A2C, "ppo": PPO, "sac": SAC, "td3": TD3}
 CONTINUOUS_ONLY = ("sac", "td3")
+DEFAULTS: Mapping[str, Mapping[str, Any]] = {
+    "headings": {"algo": "maskable_ppo", "map_name": "generated:train", "noise": "calibrated,typical,poor"}
+}
+"""What else a training run of a task is on a command line that doesn't say."""
+LISTS = ("map_name", "noise", "validation_map")
+"""Settings that are several names, with commas between on a command line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainingSettings:
-    """Algorithm, environment and seed of a training run."""
+    """Task, algorithm, environment and seed of a training run."""
 
+    task: str = "cyclic_loop"
     algo: str = "ppo"
     map_name: tuple[str, ...] = ("ring",)
-    noise: str = "ideal"
+    noise: tuple[str, ...] = ("ideal",)
+    """Of several presets, every reset draws one."""
     action_type: ActionType = "wheels"
+    """Of the task headings it is always twist."""
     step_budget: int | None = None
-    num_envs: int = 16
+    num_envs: int | None = None
+    """None: as the hyperparameters say."""
     seed: int = 0
+    validation_map: tuple[str, ...] = ()
+    """Plans on which checkpoints are scored, so that the best one is kept; none: no scores."""
+    validation_envs: int = 32
+    hyperparameters: Mapping[str, Any] = field(default_factory=dict)
+    """As from a YAML file; empty: those of the file that is shipped for the task and the algorithm."""
 
     def __post_init__(self) -> None:
+        check_choice("task", self.task, TASKS)
         check_choice("algorithm", self.algo, ALGORITHMS)
         check_choice("action type", self.action_type, ACTION_TYPES)
         if self.action_type == "discrete" and self.algo in CONTINUOUS_ONLY:
             raise ConfigError(f"{self.algo} takes no discrete actions; use ppo or a2c, or another action type.")
-        noise_from_name(self.noise)
-        load_floor_plans(self.map_name)
-        for name in ("num_envs", "step_budget"):
+        if not self.hyperparameters:
+            shipped = read_hyperparameters(hyperparameter_file(self.task, self.algo), self.algo)
+            object.__setattr__(self, "hyperparameters", shipped)
+        if self.task == "headings":
+            object.__setattr__(self, "action_type", "twist")
+        for name in LISTS:
+            value = getattr(self, name)
+            object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
+        for preset in self.noise:
+            noise_from_name(preset)
+        for names in (self.map_name, self.validation_map):
+            if names:
+                load_floor_plans(names)
+        if self.num_envs is None:
+            object.__setattr__(self, "num_envs", self.hyperparameters["num_envs"])
+        for name in ("num_envs", "validation_envs", "step_budget"):
             value = getattr(self, name)
             if (name, value) != ("step_budget", None) and (not isinstance(value, int) or value < 1):
                 raise ConfigError(f"{name} is {value!r}; expected a whole number of at least 1.")
@@ -47,18 +79,47 @@ class TrainingSettings:
 
     def make_env(self) -> CyclicLoopVecEnv:
         """Return the environment to train on."""
-        return CyclicLoopVecEnv(
-            self.num_envs,
-            map_name=list(self.map_name),
-            noise=self.noise,
-            action_type=self.action_type,
-            step_budget=self.step_budget,
-        )
+        kind = HeadingsVecEnv if self.task == "headings" else CyclicLoopVecEnv
+        assert self.num_envs is not None  # since `__post_init__`
+        scale = self.hyperparameters["reward_scale"]
+        return kind(self.num_envs, reward_scale=scale, map_name=list(self.map_name), **self._env_settings())
+
+    def make_validation_env(self) -> VectorEnv:
+        """Return the environment to score checkpoints in."""
+        kind = CyclicLoopHeadingsVectorEnv if self.task == "headings" else CyclicLoopVectorEnv
+        plans = list(self.validation_map)
+        return kind(self.validation_envs, plans, autoreset_mode=AutoresetMode.DISABLED, **self._env_settings())
+
+    def _env_settings(self) -> dict[str, Any]:
+        noise = self.noise[0] if len(self.noise) == 1 else list(self.noise)
+        return {"noise": noise, "action_type": self.action_type, "step_budget": self.step_budget}
 
 
 def training_settings(given: Mapping[str, Any]) -> TrainingSettings:
-    """Return settings with the given fields and defaults for the others; ``map_name`` is a text with commas."""
-    given = dict(given)
-    if "map_name" in given:
-        given["map_name"] = tuple(separate_names(given["map_name"]))
+    """Return the settings with the fields that are given and defaults else.
+
+    What isn't given and has no entry in `DEFAULTS` for the task is as in `TrainingSettings`. Models that are trained
+    on generated:train are scored on generated:validation. Of `LISTS` each is one text with commas between;
+    `hyperparameters` is the path of a YAML file.
+    """
+    given = {**DEFAULTS.get(given.get("task", ""), {}), **given}
+    if given.get("map_name") == "generated:train":
+        given = {"validation_map": "generated:validation", **given}
+    for name in LISTS:
+        if name in given:
+            given[name] = tuple(separate_names(given[name]))
+    if "hyperparameters" in given:
+        algo = check_choice("algorithm", given.get("algo", TrainingSettings().algo), ALGORITHMS)
+        given["hyperparameters"] = read_hyperparameters(Path(given["hyperparameters"]), algo)
     return TrainingSettings(**given)
+
+
+def settings_from_stored(stored: Mapping[str, Any]) -> TrainingSettings:
+    """Return settings that were stored as plain data.
+
+    Raises
+    ------
+    KeyError, TypeError
+        If one is missing or unknown.
+    """
+    return TrainingSettings(**{one.name: stored[one.name] for one in fields(TrainingSettings)})

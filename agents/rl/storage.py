@@ -1,7 +1,8 @@
 """Models and their settings in files.
 
 A training run is a folder: ``model.zip``, which holds its settings too; ``settings.json``, a copy of these for people,
-with the steps done and the versions of all packages; and ``progress.csv``, a line for each training episode.
+with the steps done and the versions of all packages; ``progress.csv``, a line for each training episode; and, where
+checkpoints are scored, ``validation.csv``, a line for each score, and ``best.zip``, the model that scored best.
 """
 
 from __future__ import annotations
@@ -21,11 +22,13 @@ import gymnasium
 from stable_baselines3.common.base_class import BaseAlgorithm
 
 import cyclic_env
-from agents.rl.settings import ALGORITHMS, TrainingSettings, training_settings
+from agents.rl.models import ALGORITHMS
+from agents.rl.settings import LISTS, TrainingSettings, settings_from_stored, training_settings
 from cyclic_env.atomic_write import atomic_write, check_writable, write_text_atomically
 from cyclic_env.errors import ConfigError
 
-MODEL, SETTINGS, PROGRESS = "model.zip", "settings.json", "progress.csv"
+MODEL, BEST, SETTINGS, PROGRESS = "model.zip", "best.zip", "settings.json", "progress.csv"
+VALIDATION = "validation.csv"
 STORED = "training_settings"
 """Attribute of a model that holds its settings, so that they are saved with it."""
 
@@ -41,18 +44,29 @@ class TrainedModel:
 def save(model: BaseAlgorithm, settings: TrainingSettings, out: Path) -> None:
     """Write the model and its settings; a model that is there is replaced only when the new one is complete."""
     vars(model)[STORED] = asdict(settings)
-    buffer = io.BytesIO()  # so that a full disk is met by one write, with an error that names the file
-    model.save(buffer)
-    with atomic_write(out / MODEL) as part:
-        part.write_bytes(buffer.getvalue())
+    _write_model(model, out / MODEL)
     packages = {"cyclic-loop": cyclic_env.__version__, "python": platform.python_version()}
-    for package in ("gymnasium", "numpy", "pymunk", "stable-baselines3", "torch"):
+    for package in ("gymnasium", "numpy", "pymunk", "sb3-contrib", "stable-baselines3", "torch"):
         try:
             packages[package] = version(package)
         except PackageNotFoundError:
             packages[package] = "unknown"
     text = json.dumps({**asdict(settings), "steps": model.num_timesteps, "versions": packages}, indent=2)
     write_text_atomically(out / SETTINGS, text + "\n")
+
+
+def save_best(model: BaseAlgorithm, settings: TrainingSettings, out: Path) -> None:
+    """Write the model as the one that has scored best."""
+    vars(model)[STORED] = asdict(settings)
+    _write_model(model, out / BEST)
+
+
+def _write_model(model: BaseAlgorithm, path: Path) -> None:
+    buffer = io.BytesIO()  # so that a full disk is met by one write, with an error that names the file
+    # The last observations are not needed to go on, for episodes begin anew then.
+    model.save(buffer, exclude=["_last_obs", "_last_original_obs", "_last_episode_starts"])
+    with atomic_write(path) as part:
+        part.write_bytes(buffer.getvalue())
 
 
 def steps_done(out: Path) -> int:
@@ -76,10 +90,11 @@ def resumed_settings(out: Path, given: Mapping[str, Any]) -> TrainingSettings:
     settings = stored_settings(out / MODEL)
     if settings is None:
         raise ConfigError(f"{out / MODEL} was not made by scripts/train.py, so it can't be resumed; use another --out.")
-    asked = training_settings(given)
+    asked = training_settings({"task": settings.task, "algo": settings.algo, **given})
     for name in given:
         own, wanted = getattr(settings, name), getattr(asked, name)
         if own != wanted:
+            own, wanted = (",".join(value) if name in LISTS else value for value in (own, wanted))
             raise ConfigError(f"{out} was begun with {name} {own!r}, not {wanted!r}; leave it out to resume.")
     return settings
 
@@ -92,7 +107,9 @@ def load_trained(path: Path) -> TrainedModel:
     ConfigError
         If there is none, or it is no model of a known algorithm.
     """
-    zip_path = path / MODEL if path.is_dir() else path
+    zip_path = path
+    if path.is_dir():
+        zip_path = path / (BEST if (path / BEST).is_file() else MODEL)
     return TrainedModel(model=load_model(zip_path), settings=stored_settings(zip_path))
 
 
@@ -111,7 +128,7 @@ def stored_settings(path: Path) -> TrainingSettings | None:
     if path.name == MODEL and copy.exists():
         try:
             entries = json.loads(copy.read_text(encoding="utf-8"))
-            changed = [name for name in stored if entries[name] != stored[name]]
+            changed = [name for name in stored if entries[name] != json.loads(json.dumps(stored[name]))]
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise ConfigError(f"{copy} is not as scripts/train.py wrote it; put it back, or delete it.") from error
         for name in changed:
@@ -119,7 +136,7 @@ def stored_settings(path: Path) -> TrainingSettings | None:
                 f"{copy} says {name} {entries[name]!r}, but the model was trained with {stored[name]!r}; put that back."
             )
     try:
-        return TrainingSettings(**{**stored, "map_name": tuple(stored["map_name"])})
+        return settings_from_stored(stored)
     except (KeyError, TypeError) as error:
         raise ConfigError(f"{path} was trained with another version, or is damaged: {error!r}.") from error
 
@@ -158,6 +175,8 @@ def load_model(path: Path) -> BaseAlgorithm:
 def _algorithm_of(path: Path) -> str:
     """Tell the algorithm of a model by the names of its parameters, since SB3 doesn't save it."""
     names = _stored_data(path)
+    if "maskable" in str(names.get("rollout_buffer_class")):
+        return "maskable_ppo"
     for parameter, algo in (
         ("clip_range", "ppo"),
         ("target_entropy", "sac"),
@@ -189,6 +208,6 @@ def check_output_folder(out: Path) -> None:
         If one of them can't; the message names it.
     """
     check_writable(out / MODEL)
-    for path in (out / MODEL, out / SETTINGS, out / PROGRESS):
+    for path in (out / MODEL, out / BEST, out / SETTINGS, out / PROGRESS, out / VALIDATION):
         if path.exists() and not (path.is_file() and os.access(path, os.W_OK)):
             raise ConfigError(f"can't write to {path}: it is no file, or not yours; use another --out.")

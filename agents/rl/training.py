@@ -8,37 +8,49 @@ import sys
 from collections import deque
 from collections.abc import Sequence
 from contextlib import closing
+from dataclasses import fields
+from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
 import numpy as np
 import torch
-from stable_baselines3 import A2C, PPO, SAC, TD3
 from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.noise import NormalActionNoise
+from stable_baselines3.common.logger import configure
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 
-from agents.rl.features import ScanFeatures
+from agents.rl.callbacks import RECENT_EPISODES, Checkpoints, Curves, Validation, begin_anew
+from agents.rl.models import new_model
 from agents.rl.settings import TrainingSettings
-from agents.rl.storage import MODEL, PROGRESS, check_fits, check_output_folder, load_model, save
+from agents.rl.storage import (
+    BEST,
+    MODEL,
+    PROGRESS,
+    VALIDATION,
+    check_fits,
+    check_output_folder,
+    load_model,
+    save,
+    save_best,
+)
 from agents.rl.vec_env import CyclicLoopVecEnv
+from cyclic_env import RewardConfig
 from cyclic_env.atomic_write import write_text_atomically
 from cyclic_env.errors import ConfigError, CyclicLoopError
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
+REWARD_TERMS = tuple(field.name for field in fields(RewardConfig))
 PROGRESS_COLUMNS = ("cycles_closed", "false_claims", "return", "length", "coverage", "collisions", "is_success")
-
-ROLLOUT_STEPS = 128
-"""Steps of each row between two updates of PPO."""
-
-REPLAY_SIZE = 100_000
-"""Transitions that SAC and TD3 keep: 150 MB."""
+MORE_COLUMNS = ("cycles_total", "claims", "precision", "recall", *(f"reward_{term}" for term in REWARD_TERMS))
 
 SAVE_EVERY = 50_000
-"""Steps between two checkpoints."""
+"""Steps between two checkpoints, at least."""
+CHECKPOINT_EPISODES = 2
+"""Episodes of full length in every row, at least, between two checkpoints, since all begin anew at each."""
 
 
 class TrainingError(CyclicLoopError, RuntimeError):
@@ -53,9 +65,12 @@ def train(
     resume: bool = False,
     overwrite: bool = False,
     progress: tqdm | None = None,
-    save_every: int = SAVE_EVERY,
+    save_every: int | None = None,
 ) -> BaseAlgorithm:
     """Train a model; save it now and then, at the end, and when the training is interrupted or fails.
+
+    Two runs of one seed are equal on one machine, and so is a run that was stopped at a checkpoint and resumed. (Not of
+    SAC and TD3: their replay buffers are not saved.)
 
     Parameters
     ----------
@@ -70,8 +85,9 @@ def train(
         Replace the model in `out`; without it, a model that is there is an error.
     progress : tqdm, optional
         Bar that shows steps and scores.
-    save_every : int
-        Steps between two checkpoints.
+    save_every : int, optional
+        Steps between two checkpoints, at which all episodes begin anew: see `Checkpoints`. By default as many as
+        `CHECKPOINT_EPISODES` episodes take. Scores on validation plans come with the checkpoints.
 
     Raises
     ------
@@ -89,12 +105,17 @@ def train(
     check_output_folder(out)
     torch.set_num_threads(1)  # these networks are small: more threads wait for each other, and for the environment's
     with closing(settings.make_env()) as venv:
-        model = _resumed_model(settings, venv, steps, out) if resume else _new_model(settings, venv)
+        save_every = save_every or _checkpoint_spacing(settings, venv)
+        model = _resumed_model(venv, steps, out) if resume else _untrained_model(settings, venv)
+        _log_to_tensorboard(model, out)
         if not resume:
             save(model, settings, out)  # from now on no model of an earlier run stands beside the new settings
-        callback = _Bookkeeper(settings, out, steps, save_every, progress)
+            (out / BEST).unlink(missing_ok=True)
+        begin_anew(model, settings.seed)
+        callback = _Bookkeeper(settings, out, steps, progress)
+        callbacks = [callback, Curves(), *_checkpoints(settings, out, save_every)]
         try:
-            model.learn(steps - model.num_timesteps, callback=callback, reset_num_timesteps=not resume)
+            model.learn(steps - model.num_timesteps, callback=callbacks, reset_num_timesteps=False)
         except Exception as error:  # SB3 and torch can raise anything
             raise _training_error(error, model, settings, out) from error
         except BaseException:  # an interruption
@@ -102,8 +123,18 @@ def train(
             raise
         finally:
             callback.close()
+            model.logger.close()
         save(model, settings, out)
     return model
+
+
+def _checkpoints(settings: TrainingSettings, out: Path, every: int) -> list[BaseCallback]:
+    """Return what scores, if there are plans for that, and saves the model at each checkpoint."""
+    saves = Checkpoints(every, settings.seed, partial(save, settings=settings, out=out))
+    if not settings.validation_map:
+        return [saves]
+    keep = partial(save_best, settings=settings, out=out)
+    return [Validation(settings.make_validation_env, every, out / VALIDATION, keep), saves]
 
 
 def _training_error(error: Exception, model: BaseAlgorithm, settings: TrainingSettings, out: Path) -> TrainingError:
@@ -120,7 +151,12 @@ def _training_error(error: Exception, model: BaseAlgorithm, settings: TrainingSe
     return TrainingError(f"the training failed after {model.num_timesteps:,} steps ({reason}); {kept}")
 
 
-def _resumed_model(settings: TrainingSettings, venv: CyclicLoopVecEnv, steps: int, out: Path) -> BaseAlgorithm:
+def _untrained_model(settings: TrainingSettings, venv: CyclicLoopVecEnv) -> BaseAlgorithm:
+    discrete = settings.action_type == "discrete"
+    return new_model(settings.algo, settings.hyperparameters, venv, settings.seed, discrete=discrete)
+
+
+def _resumed_model(venv: CyclicLoopVecEnv, steps: int, out: Path) -> BaseAlgorithm:
     """Return the model in a folder, set to go on, after checking that there is something left to do."""
     model = load_model(out / MODEL)
     check_fits(out / MODEL, model, venv.observation_space, venv.action_space)
@@ -128,53 +164,34 @@ def _resumed_model(settings: TrainingSettings, venv: CyclicLoopVecEnv, steps: in
         raise ConfigError(
             f"{out / MODEL} has been trained for {model.num_timesteps} steps already; give more than these as --steps."
         )
-    venv.seed(settings.seed + model.num_timesteps)
     model.set_env(venv)
     return model
 
 
-def _new_model(settings: TrainingSettings, venv: CyclicLoopVecEnv) -> BaseAlgorithm:
-    """Return a model with parameters for this environment; all others are those of Stable-Baselines3.
+def _checkpoint_spacing(settings: TrainingSettings, venv: CyclicLoopVecEnv) -> int:
+    """Return how many steps of all rows `CHECKPOINT_EPISODES` episodes take, on the first plans that the rows draw."""
+    venv.seed(settings.seed)
+    venv.reset()
+    longest = max(venv.get_attr("step_budget")) // venv.steps_per_action
+    return max(SAVE_EVERY, CHECKPOINT_EPISODES * longest * venv.num_envs)
 
-    Noise that is drawn anew in every step makes a robot tremble on the spot, so that it learns to stand still. Noise
-    that lasts (gSDE; Raffin, Kober and Stulp 2021) makes it drive: on the ring, after 200,000 steps of PPO, the return
-    was 37 with it and 5 without.
-    """
-    policy_kwargs: dict[str, Any] = {"features_extractor_class": ScanFeatures}
-    common: dict[str, Any] = {"gamma": 0.995, "seed": settings.seed, "device": "cpu", "policy_kwargs": policy_kwargs}
-    if settings.action_type != "discrete" and settings.algo != "td3":  # which adds noise of its own
-        common |= {"use_sde": True, "sde_sample_freq": 16}
-        policy_kwargs["log_std_init"] = -1.0
-    match settings.algo:
-        case "ppo":
-            batch = ROLLOUT_STEPS * settings.num_envs // 8
-            return PPO("MultiInputPolicy", venv, n_steps=ROLLOUT_STEPS, batch_size=batch, **common)
-        case "a2c":
-            return A2C("MultiInputPolicy", venv, n_steps=32, **common)
-        case "sac":
-            return SAC("MultiInputPolicy", venv, buffer_size=REPLAY_SIZE, **common)
-        case _:
-            shape = venv.action_space.shape
-            assert shape is not None
-            noise = NormalActionNoise(np.zeros(shape), np.full(shape, 0.2))
-            return TD3("MultiInputPolicy", venv, buffer_size=REPLAY_SIZE, action_noise=noise, **common)
+
+def _log_to_tensorboard(model: BaseAlgorithm, out: Path) -> None:
+    """Let the model's logger write for TensorBoard, where that is installed, and nothing else."""
+    installed = find_spec("tensorboard") is not None
+    model.set_logger(configure(str(out / "tensorboard"), ["tensorboard"] if installed else []))
 
 
 class _Bookkeeper(BaseCallback):
     """Writes a line for each episode, shows progress, and saves the model now and then."""
 
-    def __init__(
-        self, settings: TrainingSettings, out: Path, steps: int, save_every: int, progress: tqdm | None
-    ) -> None:
+    def __init__(self, settings: TrainingSettings, out: Path, steps: int, progress: tqdm | None) -> None:
         super().__init__()
-        self._settings, self._out, self._steps, self._save_every = settings, out, steps, save_every
-        self._progress = progress
-        self._episodes: deque[list[float]] = deque(maxlen=100)
-        self._saved = 0
+        self._settings, self._out, self._steps, self._progress = settings, out, steps, progress
+        self._episodes: deque[list[float]] = deque(maxlen=RECENT_EPISODES)
         self._file: TextIO | None = None
 
     def _on_training_start(self) -> None:
-        self._saved = self.num_timesteps
         self._file = _open_episodes(self._out / PROGRESS, self.num_timesteps)
         if self._progress is not None:
             self._announce(self._progress)
@@ -182,7 +199,9 @@ class _Bookkeeper(BaseCallback):
     def _announce(self, progress: tqdm) -> None:
         update = self.model.n_envs * (self.model.n_steps if isinstance(self.model, OnPolicyAlgorithm) else 1)
         end = self.num_timesteps + math.ceil((self._steps - self.num_timesteps) / update) * update
-        first_end = self.num_timesteps + min(self.training_env.get_attr("step_budget")) * self.model.n_envs
+        venv: Any = self.training_env
+        budget = min(venv.get_attr("step_budget")) // venv.steps_per_action
+        first_end = self.num_timesteps + budget * self.model.n_envs
         progress.clear()
         print(
             f"training {self._settings.algo} on {','.join(self._settings.map_name)} until step {end:,}"
@@ -196,18 +215,17 @@ class _Bookkeeper(BaseCallback):
     def _on_step(self) -> bool:
         ended = [info for info in self.locals["infos"] if "episode" in info]
         for info in ended:
-            values = {**info, "return": info["episode"]["r"], "length": info["episode"]["l"]}
+            episode = info["episode"]
+            terms = {f"reward_{term}": value for term, value in episode["terms"].items()}
+            values = {**info, **terms, "return": episode["r"], "length": episode["l"]}
             self._episodes.append([values[column] for column in PROGRESS_COLUMNS])
-            self._write_line([self.num_timesteps, *self._episodes[-1]])
+            self._write_line([self.num_timesteps, *(values[column] for column in (*PROGRESS_COLUMNS, *MORE_COLUMNS))])
         if self._progress is not None:
             if ended:
                 cycles, false_claims, episode_return, *_ = np.mean(self._episodes, axis=0)
                 scores = f"{cycles:.2f} cycles, {false_claims:.1f} false claims, return {episode_return:.1f}"
                 self._progress.set_postfix_str(f"{scores} (last {len(self._episodes)})", refresh=False)
             self._progress.update(self.num_timesteps - self._progress.n)
-        if self.num_timesteps - self._saved >= self._save_every:
-            self._saved = self.num_timesteps
-            save(self.model, self._settings, self._out)
         return True
 
     def _write_line(self, values: Sequence[Any]) -> None:
@@ -230,5 +248,5 @@ def _open_episodes(path: Path, steps: int) -> TextIO:
             step = line.split(",")[0]
             if step.isdecimal() and int(step) <= steps and line.endswith("\n"):  # the last line may be cut off
                 kept.append(line)
-    write_text_atomically(path, ",".join(["steps", *PROGRESS_COLUMNS]) + "\n" + "".join(kept))
+    write_text_atomically(path, ",".join(["steps", *PROGRESS_COLUMNS, *MORE_COLUMNS]) + "\n" + "".join(kept))
     return path.open("a", newline="", encoding="utf-8", buffering=1)  # whole lines at once

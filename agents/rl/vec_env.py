@@ -35,18 +35,34 @@ class CyclicLoopVecEnv(VecEnv):
     Parameters
     ----------
     num_envs : int
+    reward_scale : float
+        Factor of the rewards, for returns of a size that networks learn well; the returns under ``info["episode"]`` are
+        without it.
     settings
         As for `CyclicLoopVectorEnv`, but for the autoreset mode.
     """
 
-    def __init__(self, num_envs: int = 1, **settings: Any) -> None:
-        self.env = CyclicLoopVectorEnv(num_envs, autoreset_mode="SAME_STEP", **settings)
+    env: Any
+    """What is stepped."""
+    core: CyclicLoopVectorEnv
+    """What has the rows' buildings, paths and claims."""
+    steps_per_action = 1
+    """Steps of the environment for which an action holds."""
+
+    def __init__(self, num_envs: int = 1, *, reward_scale: float = 1.0, **settings: Any) -> None:
+        self.env, self.core = self._make_envs(num_envs, settings)
         super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
-        self.metadata = self.env.metadata  # videos take their frames per second from it
+        self.metadata = self.core.metadata  # videos take their frames per second from it
+        self.reward_scale = reward_scale
         self._actions: np.ndarray | None = None
         self._returns = np.zeros(num_envs)
         self._lengths = np.zeros(num_envs, np.int64)
+        self._terms: dict[str, np.ndarray] = {}
         self._began = time.time()
+
+    def _make_envs(self, num_envs: int, settings: dict[str, Any]) -> tuple[Any, CyclicLoopVectorEnv]:
+        env = CyclicLoopVectorEnv(num_envs, autoreset_mode="SAME_STEP", **settings)
+        return env, env
 
     def reset(self) -> dict[str, np.ndarray]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Begin episodes in all rows, with the seeds and options given since the last reset."""
@@ -61,7 +77,7 @@ class CyclicLoopVecEnv(VecEnv):
             observation = self._reset_rows(~with_options, {})
         self._reset_seeds()
         self._reset_options()
-        self._returns[:], self._lengths[:] = 0.0, 0
+        self._returns[:], self._lengths[:], self._terms = 0.0, 0, {}
         return observation  # of all rows, whichever were the last to be reset
 
     def _reset_rows(self, mask: np.ndarray, options: dict[str, Any]) -> dict[str, np.ndarray]:
@@ -79,7 +95,11 @@ class CyclicLoopVecEnv(VecEnv):
         observation, rewards, terminated, truncated, infos = self.env.step(self._actions)
         ended = terminated | truncated
         self._returns += rewards
-        self._lengths += 1
+        last = infos.get("final_info", infos)
+        self._lengths += np.where(ended, last["steps"], infos["steps"]) if "steps" in infos else 1
+        for name, values in infos["reward_terms"].items():
+            if not name.startswith("_"):
+                self._terms[name] = self._terms.get(name, 0.0) + np.where(ended, last["reward_terms"][name], values)
         row_infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for row in np.flatnonzero(ended).tolist():
             row_infos[row] = {
@@ -90,11 +110,13 @@ class CyclicLoopVecEnv(VecEnv):
                     "r": float(self._returns[row]),
                     "l": int(self._lengths[row]),
                     "t": round(time.time() - self._began, 6),
+                    "terms": {name: float(values[row]) for name, values in self._terms.items()},
                 },
             }
             self.reset_infos[row] = _row_info(infos, row)
-        self._returns[ended], self._lengths[ended] = 0.0, 0
-        return observation, rewards.astype(np.float32), ended, row_infos
+        for values in (self._returns, self._lengths, *self._terms.values()):
+            values[ended] = 0
+        return observation, (rewards * self.reward_scale).astype(np.float32), ended, row_infos
 
     def close(self) -> None:
         """Close the window and end the threads."""
@@ -104,16 +126,16 @@ class CyclicLoopVecEnv(VecEnv):
         """Return an attribute of every row asked for, as a single environment has it."""
         rows = self._get_indices(indices)
         if attr_name == "floor_plan":
-            return [self.env.floor_plan(row) for row in rows]
+            return [self.core.floor_plan(row) for row in rows]
         if attr_name == "step_budget":
-            return [self.env.step_budget(row) for row in rows]
+            return [self.core.step_budget(row) for row in rows]
         if attr_name in ROW_METHODS:
-            return [partial(getattr(self.env, attr_name), row) for row in rows]
+            return [partial(getattr(self.core, attr_name), row) for row in rows]
         if attr_name in ROW_SPACES:
             return [getattr(self, attr_name) for _ in rows]
         if attr_name in ROW_SEQUENCES:
-            return [getattr(self.env, attr_name)[row] for row in rows]
-        return [getattr(self.env, attr_name) for _ in rows]
+            return [getattr(self.core, attr_name)[row] for row in rows]
+        return [getattr(self.env if hasattr(self.env, attr_name) else self.core, attr_name) for _ in rows]
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the vector env, which all rows share.
@@ -139,11 +161,11 @@ class CyclicLoopVecEnv(VecEnv):
         """
         rows = list(self._get_indices(indices))
         if method_name == "render":
-            pictures = self.env.render()
+            pictures = self.core.render()
             return [pictures[row] if pictures is not None and row < len(pictures) else None for row in rows]
         if method_name not in ROW_METHODS:
             raise AttributeError(f"a row has no method {method_name!r}; it has {', '.join(ROW_METHODS)} and render.")
-        return [getattr(self.env, method_name)(row, *method_args, **method_kwargs) for row in rows]
+        return [getattr(self.core, method_name)(row, *method_args, **method_kwargs) for row in rows]
 
     def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
         """Tell that no row is wrapped in anything but, to what its infos say, a `Monitor`."""

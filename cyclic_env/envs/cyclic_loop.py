@@ -117,7 +117,8 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     Version history
     ---------------
     v0: the first. Since rules 2 (`cyclic_env.task.loop_closure.RULES_VERSION`) ground counts once for revisit events,
-    and with them for ``missed_revisit``, precision and recall; a correct claim just before an event recognises it.
+    and with them for ``missed_revisit``, precision and recall; a correct claim just before an event recognises it. And
+    a cycle is a hole with a lap of at least 40 m, rather than one with a ring of 40 m or more.
 
     References
     ----------

@@ -74,16 +74,11 @@ class Dynamics(NamedTuple):
     """How the robots drive, as the compiled code takes it."""
 
     substeps: int
-    mass: float
-    """kg"""
-    inertia: float
-    """kg m2"""
-    axle_track: float
-    """m"""
-    lag: float
-    """Share of a wheel's speed error that is gone after a substep."""
-    dt: float
-    """Length of a substep, s."""
+    mass: float  # kg
+    inertia: float  # kg m2
+    axle_track: float  # m
+    lag: float  # share of a wheel's speed error that is gone after a substep
+    dt: float  # length of a substep, s
 
 
 class Bodies(NamedTuple):
@@ -127,15 +122,15 @@ def command_substep(bodies, drive, commands, first, dynamics):
         Whether a control step begins, so that travel and contact start anew.
     dynamics : Dynamics
     """
-    forces, dt = bodies.forces, dynamics.dt
+    states, forces, dt = bodies.states, bodies.forces, dynamics.dt
     for i in range(bodies.rows.shape[0]):
-        row, state = bodies.rows[i], bodies.states[i]
+        row = bodies.rows[i]
         robot = drive[row]
-        angle, omega = state[2], state[5]
+        angle, omega = states[i, 2], states[i, 5]
         if first:
             robot.travel, robot.contact = 0.0, False
         else:
-            observe_body(state, robot)
+            observe_body(states[i], robot)
         robot.left += dynamics.lag * (commands[row, 0] - robot.left)
         robot.right += dynamics.lag * (commands[row, 1] - robot.right)
         target_omega = (robot.right - robot.left) / dynamics.axle_track
@@ -145,8 +140,8 @@ def command_substep(bodies, drive, commands, first, dynamics):
         ahead = angle + omega * dt + 0.5 * target_omega * dt
         robot.ahead_x, robot.ahead_y = math.cos(ahead), math.sin(ahead)
         robot.target_vx, robot.target_vy = speed * robot.ahead_x, speed * robot.ahead_y
-        forces[i, 0] = dynamics.mass * (robot.target_vx - state[3]) / dt
-        forces[i, 1] = dynamics.mass * (robot.target_vy - state[4]) / dt
+        forces[i, 0] = dynamics.mass * (robot.target_vx - states[i, 3]) / dt
+        forces[i, 1] = dynamics.mass * (robot.target_vy - states[i, 4]) / dt
         forces[i, 2] = dynamics.inertia * (target_omega - omega) / dt
 
 
@@ -253,13 +248,8 @@ class World:
             rows=np.array(order, np.int64),
             counts=np.frombuffer(ffi.buffer(self._arrays), np.intc).reshape(2, -1)[:, 0],
         )
-        names = (
-            "cpSpaceStep",
-            "cpSpaceEachBody",
-            "pmSpaceBodyGetIteratorFuncBatched",
-            "pmSpaceBodySetIteratorFuncBatched",
-        )
-        step, each_body, read_body, write_body = (ffi.addressof(lib, name) for name in names)
+        step, each_body = (ffi.addressof(lib, name) for name in ("cpSpaceStep", "cpSpaceEachBody"))
+        read_body, write_body = (ffi.addressof(lib, f"pmSpaceBody{kind}IteratorFuncBatched") for kind in ("Get", "Set"))
         reading, writing = (ffi.addressof(self._batches, i) for i in range(2))
         pointers = (self.space._space, step, each_body, read_body, reading, write_body, writing)
         self.calls = SpaceCalls(*map(address_of, pointers))
@@ -289,12 +279,11 @@ class Simulation:
         self._world_size = min(max(share, WORLD_SIZE_MIN), WORLD_SIZE_MAX)
         self._world_of: dict[int, World] = {}
         self._empty: dict[int, World] = {}  # by their plans
-        self._inertia = pymunk.moment_for_circle(robot.mass, 0.0, robot.radius)
         dt, lag = robot.dt / robot.substeps, robot.wheel_time_constant
         self._dynamics = Dynamics(
             substeps=robot.substeps,
             mass=robot.mass,
-            inertia=self._inertia,
+            inertia=pymunk.moment_for_circle(robot.mass, 0.0, robot.radius),
             axle_track=robot.axle_track,
             lag=1.0 - math.exp(-dt / lag) if lag > 0 else 1.0,
             dt=dt,
@@ -315,7 +304,7 @@ class Simulation:
                 self._leave(world, row)
             self.plan_of[row] = plan
             world = self._world_of[row] = self._world_with_room(plan)
-        body = pymunk.Body(self.robot.mass, self._inertia)
+        body = pymunk.Body(self.robot.mass, self._dynamics.inertia)
         body.position, body.angle = (float(position[0]), float(position[1])), float(angle)
         body.velocity, body.angular_velocity = velocity, omega
         world.add(row, body, self.robot.radius)
@@ -336,28 +325,15 @@ class Simulation:
                 del self._empty[next(iter(self._empty))]
 
     def drive_world(self, world: World, commands: np.ndarray) -> None:
-        """Drive the robots of one Space for a control step.
-
-        Parameters
-        ----------
-        world : World
-            One of `worlds`.
-        commands : (N, 2) float64
-            Commanded speeds of the left and the right wheel, m/s; only the rows of this world are read.
-        """
+        """Drive the robots of one of the `worlds` for a control step, by their rows of `commands` (N, 2), m/s."""
         drive_bodies(world.calls, world.bodies, self.drive, commands, self._dynamics)
 
     def __getstate__(self) -> dict[str, Any]:
         bodies = {}
         for row, world in self._world_of.items():
             body = world.body_of[row]
-            bodies[row] = (
-                int(self.plan_of[row]),
-                tuple(body.position),
-                body.angle,
-                tuple(body.velocity),
-                body.angular_velocity,
-            )
+            pose, twist = (tuple(body.position), body.angle), (tuple(body.velocity), body.angular_velocity)
+            bodies[row] = (int(self.plan_of[row]), *pose, *twist)
         return {"robot": self.robot, "plans": self.plans, "drive": self.drive.copy(), "bodies": bodies}
 
     def __setstate__(self, state: dict[str, Any]) -> None:

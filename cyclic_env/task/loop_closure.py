@@ -30,7 +30,7 @@ import math
 from typing import NamedTuple
 
 from cyclic_env.config import ClosureConfig
-from cyclic_env.jit import compiled
+from cyclic_env.jit import compiled, inlined
 from cyclic_env.simulation.wall_index import line_of_sight
 from cyclic_env.task.homology import is_independent, loop_windings
 from cyclic_env.task.path_history import (
@@ -47,6 +47,7 @@ RULES_VERSION = 2
 
 1. Every revisit step could begin or extend a revisit event, and only a correct claim within an event recognised it.
 2. Ground counts once: events are runs of fresh steps, and a correct claim just before an event recognises it, too.
+   A cycle is a hole with a lap of at least 40 m (`cyclic_env.floor_plans.cycles`); it was one with a ring of 40 m.
 """
 
 NO_CLAIM, NEAREST = -2, -1
@@ -103,7 +104,7 @@ def advance(robot, building, rules, x, y):
     advance_along(robot, building, rules, x, y, status.path_length + math.sqrt(dx * dx + dy * dy))
 
 
-@compiled
+@inlined
 def advance_along(robot, building, rules, x, y, path_length):
     """Take the robot's next step as `advance` does; the path to it is `path_length` long."""
     status, track = robot.status, robot.track

@@ -118,13 +118,8 @@ class ClosureMemory(NamedTuple):
     def used(self) -> ClosureMemory:
         """Return the part of the memory that the paths have come to."""
         steps, visits, claims = (int(self.status[name].max()) for name in ("steps", "visits", "claims"))
-        counts = {
-            "track": steps + 1,
-            "counted": steps + 1,
-            "visits": visits,
-            "crossing_checkpoints": steps // CHECKPOINT_STEPS + 2,
-            "claims": claims,
-        }
+        counts = {"track": steps + 1, "counted": steps + 1, "visits": visits, "claims": claims}
+        counts["crossing_checkpoints"] = steps // CHECKPOINT_STEPS + 2
         return self._replace(**{name: getattr(self, name)[:, :count] for name, count in counts.items()})
 
     def shapes(self) -> dict[str, tuple[int, ...]]:
@@ -271,7 +266,7 @@ def begin_path(robot, building, x, y):
     _record_visit(robot, building, x, y)
 
 
-@compiled
+@inlined
 def extend_path(robot, building, gap, x, y, path_length):
     """Add a step to (x, y) to the robot's path, which is then `path_length` long."""
     status, track = robot.status, robot.track

@@ -106,7 +106,7 @@ def run_explorer(settings: RunSettings) -> RunRecord:
         if terminated:
             ending = "success"
         elif truncated:
-            ending = "list empty" if state[0].done else "step budget"
+            ending = state[0].stop_reason or "step budget"
     assert state is not None
     scalars = {name: value for name, value in info.items() if name != "reward_terms"}
     record = _record(settings, env, state[0], np.array(headings), scalars | {"return": total, "ending": ending})

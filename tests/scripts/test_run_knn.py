@@ -81,7 +81,7 @@ def test_options_reach_the_run(tmp_path: Path, capsys: pytest.CaptureFixture[str
     assert run_knn.main(arguments) == 0
     metrics = json.loads(file.read_text())
     settings = ("noise", "preset", "detector", "measure", "seed", "random_start")
-    assert [metrics[name] for name in settings] == ["typical", "paper", "knn", "cityblock", 3, True]
+    assert [metrics[name] for name in settings] == ["typical", "paper", "both", "cityblock", 3, True]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"run.png"}
     table = capsys.readouterr().out
     assert f"cycles closed  {metrics['cycles_closed']} of 1" in table

@@ -1,4 +1,4 @@
-"""What the reward's terms charge and pay, beyond what the drives of `test_loop_closure` show."""
+"""What the reward's terms charge and pay, beyond what the drives of `test_drives` show."""
 
 from __future__ import annotations
 

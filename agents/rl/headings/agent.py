@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,11 @@ from agents.rl.headings.env import FEATURES
 from agents.rl.headings.memory import HOLD, Rules
 from agents.rl.headings.perception import Perception
 from cyclic_env.config import ActionType
+
+
+def takes_masks(model: Any) -> bool:
+    """Tell whether a model asks which actions there are, as those of `MaskablePPO` do."""
+    return "action_masks" in inspect.signature(model.predict).parameters
 
 
 class HeadingsState:
@@ -39,7 +45,7 @@ class HeadingsAgent:
         self.model = model
         self.rules = rules or Rules()
         self.action_type: ActionType = action_type
-        self._masks = "action_masks" in type(model).predict.__code__.co_varnames
+        self._takes_masks = takes_masks(model)
 
     def predict(
         self,
@@ -78,7 +84,7 @@ class HeadingsAgent:
         perception = state.perception
         perception.observe(rows)
         features = {name: getattr(perception.memory, name)[rows] for name in FEATURES}
-        masks = {"action_masks": perception.action_masks()[rows]} if self._masks else {}
+        masks = {"action_masks": perception.action_masks()[rows]} if self._takes_masks else {}
         choices, _ = self.model.predict(features, deterministic=deterministic, **masks)
         perception.decide(choices[:, 0], rows)
         claiming, steps = perception.claim(choices[:, 1], rows)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import gymnasium
@@ -41,6 +42,11 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
         ``SAME_STEP`` (default) or ``DISABLED``, as for `CyclicLoopVectorEnv`.
     map_name and all others
         As for `CyclicLoopVectorEnv`, but for the action type.
+
+    Attributes
+    ----------
+    seconds : dict of float
+        How long steps have taken since the env was made, by stage: ``"env"``, ``"steering"`` and ``"features"``.
     """
 
     def __init__(
@@ -66,6 +72,7 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
         self.single_action_space = action_space()
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
+        self.seconds = {"env": 0.0, "steering": 0.0, "features": 0.0}
         self._ended = np.zeros(num_envs, np.bool_)
         self._commands = np.zeros((num_envs, 4), np.float32)
 
@@ -116,20 +123,14 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
         decided = np.flatnonzero(active)
         actions = self._checked(actions)[decided]
         self.perception.decide(actions[:, 0], decided)
-        self._commands[:, 2] = -1.0
-        claiming, claimed = self.perception.claim(actions[:, 1], decided)
-        self._commands[claiming, 2] = 1.0
-        self._commands[claiming, 3] = 2 * claimed / (self.perception.memory.robots["steps"][claiming] + 1) - 1
+        self._claim(actions[:, 1], decided)
         rewards, steps = np.zeros(self.num_envs), np.zeros(self.num_envs, np.int64)
         terms: dict[str, np.ndarray] = {}
         terminated, truncated = np.zeros((2, self.num_envs), np.bool_)
         infos: dict[str, Any] = {}
         for _ in range(HOLD):
             rows = np.flatnonzero(active)
-            self.perception.steer(rows, self._commands)
-            observation, reward, terminates, truncates, infos = self.env.step(self._commands, active=active)
-            self._commands[:, 2] = -1.0
-            self.perception.sense(observation, rows)
+            reward, terminates, truncates, infos = self._drive(active, rows)
             rewards[rows] += reward[rows]
             steps[rows] += 1
             for name, values in infos["reward_terms"].items():
@@ -141,11 +142,32 @@ class CyclicLoopHeadingsVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, n
                 break
         infos["reward_terms"] |= terms
         infos["steps"], infos["_steps"] = steps, np.ones(self.num_envs, np.bool_)
+        begin = time.perf_counter()
         self.perception.observe(decided)
+        self.seconds["features"] += time.perf_counter() - begin
         self._ended[decided] = (terminated | truncated)[decided]
         if self._ended.any() and self.autoreset_mode == AutoresetMode.SAME_STEP:
             infos = self._reset_ended(infos)
         return self.observation(), rewards, terminated, truncated, infos
+
+    def _claim(self, choices: np.ndarray, rows: np.ndarray) -> None:
+        """Write the claims of the robots `rows` into the commands."""
+        self._commands[:, 2] = -1.0
+        claiming, claimed = self.perception.claim(choices, rows)
+        self._commands[claiming, 2] = 1.0
+        self._commands[claiming, 3] = 2 * claimed / (self.perception.memory.robots["steps"][claiming] + 1) - 1
+
+    def _drive(self, active: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Step the active robots, `rows`, once; a claim is made in the first step only."""
+        begin = time.perf_counter()
+        self.perception.steer(rows, self._commands)
+        steered = time.perf_counter()
+        observation, reward, terminated, truncated, infos = self.env.step(self._commands, active=active)
+        self.seconds["steering"] += steered - begin
+        self.seconds["env"] += time.perf_counter() - steered
+        self._commands[:, 2] = -1.0
+        self.perception.sense(observation, rows)
+        return reward, terminated, truncated, infos
 
     def _checked(self, actions: Any) -> np.ndarray:
         actions = as_array(actions, "the action", "one of the action space", ActionError)

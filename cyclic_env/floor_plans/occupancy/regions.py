@@ -115,17 +115,14 @@ def reachable_centres(part: CroppedGrid, radius: float, start: Pose | None) -> n
     if not len(sizes):
         raise FloorPlanError(FITS_NOWHERE)
     if start is None:
-        rows, columns = (np.array(size) - radius - 1 for size in grid.cells.shape)
-        cut = [
-            min(box[0].start + corner[0], box[1].start + corner[1]) < radius + 1
-            or box[0].stop + corner[0] > rows
-            or box[1].stop + corner[1] > columns
-            for box in ndimage.find_objects(labels)
-        ]
+        rows, columns = (low + np.arange(size) for low, size in zip(corner, free.shape, strict=True))
+        cut = np.zeros(len(sizes) + 1, bool)
+        cut[labels[(rows < radius + 1) | (rows > grid.cells.shape[0] - radius - 2)]] = True
+        cut[labels[:, (columns < radius + 1) | (columns > grid.cells.shape[1] - radius - 2)]] = True
         row, column = part.cell((0.0, 0.0, 0.0))
         origin = int(labels[row, column]) if part.has(row, column) else 0
-        origin *= not cut[origin - 1]
-        return labels == _building(labels, np.where(cut, ENCLOSED_SHARE, 1.0) * sizes, origin)
+        origin *= not cut[origin]
+        return labels == _building(labels, np.where(cut[1:], ENCLOSED_SHARE, 1.0) * sizes, origin)
     row, column = part.cell(start)
     inside = part.has(row, column)
     if inside and open_space[row, column]:
@@ -146,7 +143,6 @@ def _building(labels: np.ndarray, sizes: np.ndarray, origin: int) -> int:
     """
     edge = labels[(labels > 0) & ~ndimage.binary_erosion(labels > 0)]
     walls = np.bincount(edge, minlength=len(sizes) + 1)[1:]
-    boxes = ndimage.find_objects(labels)
     best = int(np.argmax(sizes))
     while True:
         rivals = (walls > walls[best]) & (sizes >= ENCLOSED_SHARE * sizes[best])
@@ -154,7 +150,7 @@ def _building(labels: np.ndarray, sizes: np.ndarray, origin: int) -> int:
             return 1 + best
         if origin and rivals[origin - 1]:
             return origin
-        part = labels[boxes[best]]
+        part = labels[ndimage.find_objects(labels, 1 + best)[best]]
         enclosed = np.unique(part[ndimage.binary_fill_holes(part == 1 + best)])
         rivals &= np.isin(np.arange(1, len(sizes) + 1), enclosed)
         if not rivals.any():

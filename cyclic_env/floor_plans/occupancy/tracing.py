@@ -10,7 +10,7 @@ between two walls, they are joined.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -26,7 +26,6 @@ from cyclic_env.floor_plans.occupancy.morphology import grow_back
 from cyclic_env.floor_plans.occupancy.outline import simplify_outline, trace_outline
 from cyclic_env.floor_plans.occupancy.regions import (
     FITS_NOWHERE,
-    CroppedGrid,
     crop,
     drop_glimpses,
     drop_specks,
@@ -53,6 +52,7 @@ class _Sizes(NamedTuple):
     """The arguments of `trace_floor_plan` that say what is traced for which robot, metres and square metres."""
 
     robot_radius: float
+    speck_area: float
     gap: float
     nook_area: float
     door: float
@@ -99,69 +99,45 @@ def trace_floor_plan(
     grid : OccupancyGrid
         Cells that are not free, including unknown ones, are walls.
     start : (x, y, heading), optional
-        World pose, metres and radians; by default the grid's. The plan is the free space that can be reached from it.
-        Without a start, the plan is the largest free space, and its start is the point with the most room around it,
-        facing the longest line of sight.
+        World pose from which the plan can be reached, metres and radians; by default the grid's. Without one, the plan
+        is the largest free space, and starts where there is most room, facing the longest line of sight.
     robot_radius : float
-        Metres. Passages narrower than the robot are closed, and what lies beyond is left out. Passages must be a cell
-        or two wider than the robot, or up to five where simplified walls would otherwise be in its way.
+        Metres. Passages must be a cell or two wider than the robot, or up to five where simplified walls would
+        otherwise be in its way. Narrower ones are closed, and what lies beyond is left out.
     speck_area : float
-        Square metres. Groups of wall cells smaller than this, two cells away from others, are dropped as noise or chair
-        legs, unless they separate two places, as the posts of windows do.
+        Square metres. Smaller groups of wall cells, two cells away from others, are dropped, unless they separate two
+        places, as the posts of windows do.
     gap : float
-        Metres. Free space narrower than this, such as a single ray through a window, is closed, but never where the
-        robot fits.
+        Metres. Narrower free space, such as a single ray through a window, is closed, but not where the robot fits.
     nook_area : float
-        Square metres. Free space that the robot can't enter but its laser sees, such as a niche, is kept up to this
-        size. What is larger lies behind a window or a door that is too narrow, and is closed.
+        Square metres. Free space that the robot can't enter but sees is a niche, and kept, up to this size.
     door : float
-        Metres. A place behind an opening narrower than this that ends in unknown space rather than at walls was only
-        looked into, through a window or a door. It is closed, unless it is on the way to a place with walls or joins
-        such places. 0 keeps all such places.
+        Metres. A place behind a narrower opening that ends in unknown space rather than at walls was only looked into.
+        It is closed, unless it joins places with walls or is on the way to one. 0 keeps all such places.
     tolerance : float, optional
         Metres by which simplified walls may differ from the sides of cells; by default 1.5 cells. It is halved where
         the robot would otherwise not pass.
     progress : callable
-        Called at the beginning of each stage with what it does; see `STAGES`.
+        Called with the name of each of `STAGES` when it begins.
 
     Raises
     ------
     FloorPlanError
         If there is no free space, the robot fits nowhere or not at the start, or an argument makes no sense.
     """
-    side = grid.resolution
-    tolerance = 1.5 * side if tolerance is None else tolerance
+    tolerance = 1.5 * grid.resolution if tolerance is None else tolerance
     start = grid.start if start is None else start
-    sizes = _Sizes(robot_radius, gap, nook_area, door, tolerance)
-    _check_arguments(sizes._asdict() | {"speck_area": speck_area}, start)
-    if not grid.free.any():
-        raise FloorPlanError("the map has no free cell; are the thresholds right, and negate?")
-    if 2 * robot_radius > side * min(grid.cells.shape):
-        raise FloorPlanError(FITS_NOWHERE)
+    sizes = _Sizes(robot_radius, speck_area, gap, nook_area, door, tolerance)
+    _check_arguments(grid, sizes, start)
     with compile_notice():
         grow_back(np.ones((3, 3), bool), np.ones((3, 3), bool), 1.0, 1.0, 1.0)
-    part = crop(grid)
-    progress(STAGES[0])
-    specks, speck_cells = drop_specks(part.free, speck_area / side**2, robot_radius / side + CLEARANCE)
     with_pockets: Tracing | None = None
     problems: list[FloorPlanError] = []
     try:
-        for outline, space, glimpses in _outlines(part, start, sizes, progress):
-            progress(STAGES[4])
-            dropped = side**2 * int(np.count_nonzero(part.free) - np.count_nonzero(space))
-            for share in (1.0, 0.5):
-                polygon = simplify_outline(outline, share * tolerance / side, grid)
-                try:
-                    plan = _plan(grid, polygon, start, robot_radius)
-                    home = plan.reachable(robot_radius)
-                except FloorPlanError as error:
-                    problems.append(error)
-                    continue
-                places = dropped_places(part, space, glimpses)
-                tracing = Tracing(plan, specks, side**2 * speck_cells, dropped, places)
-                if not plan.unreached(home, robot_radius):
-                    return tracing
-                with_pockets = with_pockets or tracing
+        for tracing, all_reached in _tracings(grid, start, sizes, problems, progress):
+            if all_reached:
+                return tracing
+            with_pockets = with_pockets or tracing
     except FloorPlanError as error:
         problems.append(error)
     if with_pockets is None:
@@ -169,21 +145,34 @@ def trace_floor_plan(
     return with_pockets
 
 
-def _check_arguments(sizes: Mapping[str, float], start: Pose | None) -> None:
-    for name, value in sizes.items():
+def _check_arguments(grid: OccupancyGrid, sizes: _Sizes, start: Pose | None) -> None:
+    for name, value in sizes._asdict().items():
         if not 0 <= value < math.inf or (name == "robot_radius" and value == 0):
             raise FloorPlanError(f"{name}: expected metres, finite and not below 0, got {short_repr(value)}.")
     if start is not None and not all(abs(value) <= COORDINATE_MAX for value in start):  # nor NaN
         raise FloorPlanError(
             f"start: expected x, y and heading from {-COORDINATE_MAX:g} to {COORDINATE_MAX:g}, got {short_repr(start)}."
         )
+    if not grid.free.any():
+        raise FloorPlanError("the map has no free cell; are the thresholds right, and negate?")
+    if 2 * sizes.robot_radius > grid.resolution * min(grid.cells.shape):
+        raise FloorPlanError(FITS_NOWHERE)
 
 
-def _outlines(
-    part: CroppedGrid, start: Pose | None, sizes: _Sizes, progress: Callable[[str], None]
-) -> Iterator[tuple[Polygon, np.ndarray, np.ndarray]]:
-    """Yield the outline and the cells of the space that a robot reaches, and the glimpses, for an ever larger robot."""
-    side = part.grid.resolution
+def _tracings(
+    grid: OccupancyGrid,
+    start: Pose | None,
+    sizes: _Sizes,
+    problems: list[FloorPlanError],
+    progress: Callable[[str], None],
+) -> Iterator[tuple[Tracing, bool]]:
+    """Yield plans that the robot can drive, traced for an ever larger robot; add the problems of others to a list.
+
+    With each plan comes whether the robot reaches all of it, apart from nooks.
+    """
+    side, part = grid.resolution, crop(grid)
+    progress(STAGES[0])
+    specks, speck_cells = drop_specks(part.free, sizes.speck_area / side**2, sizes.robot_radius / side + CLEARANCE)
     for i in range(ROUNDS):
         radius = sizes.robot_radius / side + CLEARANCE + i / (ROUNDS - 1) * (1 + sizes.tolerance / side)
         progress(STAGES[1])
@@ -192,7 +181,20 @@ def _outlines(
         centres = drop_glimpses(reachable, part, radius, sizes.door / side, start)
         progress(STAGES[3])
         space = grow_back(centres, part.free, radius, sizes.gap / side, sizes.nook_area / side**2)
-        yield trace_outline(space, part.corner), space, reachable & ~centres
+        progress(STAGES[4])
+        outline = trace_outline(space, part.corner)
+        dropped = side**2 * int(np.count_nonzero(part.free) - np.count_nonzero(space))
+        for share in (1.0, 0.5):
+            try:
+                polygon = simplify_outline(outline, share * sizes.tolerance / side, grid)
+                plan = _plan(grid, polygon, start, sizes.robot_radius)
+                home = plan.reachable(sizes.robot_radius)
+            except FloorPlanError as error:
+                problems.append(error)
+                continue
+            places = dropped_places(part, space, reachable & ~centres)
+            tracing = Tracing(plan, specks, side**2 * speck_cells, dropped, places)
+            yield tracing, not plan.unreached(home, sizes.robot_radius)
 
 
 def _plan(grid: OccupancyGrid, polygon: Polygon, start: Pose | None, robot_radius: float) -> FloorPlan:
