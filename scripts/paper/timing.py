@@ -76,7 +76,7 @@ def search_growth(record: RunRecord, laps: int) -> pd.DataFrame:
     for i in range(EVERY, len(rows), EVERY):
         direction = again.direction[i]
         earlier = np.flatnonzero((again.direction[:i] == direction) & (again.group[:i] != again.group[i]))
-        tables = groups[(groups < again.group[i]) & (again.direction[first] == direction)]
+        tables = np.flatnonzero((groups < again.group[i]) & (again.direction[first] == direction))
         if not len(tables):
             continue
         # Rows that are compared lie in one piece, as they do in a table.
