@@ -1,4 +1,4 @@
-"""Writing files whole or not at all, and checks before hours of work that files can be written."""
+"""Write files whole or not at all, and check before hours of work that they can be written."""
 
 from __future__ import annotations
 
@@ -16,10 +16,6 @@ def atomic_write(path: str | Path) -> Iterator[Path]:
 
     If the block raises, the old file stays. The yielded path lies beside the file, has its suffix, and belongs to this
     process alone. Devices and pipes are written to directly.
-
-    Parameters
-    ----------
-    path : str or path
 
     Raises
     ------
@@ -83,7 +79,7 @@ def check_outputs(paths: Iterable[Path], inputs: Iterable[Path] = ()) -> None:
     Raises
     ------
     ConfigError
-        If one fails.
+        If a check fails.
     """
     read, written = {path.resolve() for path in inputs}, set[Path]()
     for path in paths:

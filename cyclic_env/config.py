@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Literal, TypeVar, get_args
+from dataclasses import dataclass
+from typing import Any, Literal, get_args
 
 import numpy as np
 
-from cyclic_env.errors import ConfigError
-from cyclic_env.validation import check_bool, check_choice, check_field, check_integer, check_number, unknown_name
+from cyclic_env.validation import check_bool, check_choice, check_field, check_integer, check_number, from_mapping
 
 ActionType = Literal["wheels", "twist", "discrete"]
 ACTION_TYPES: tuple[ActionType, ...] = get_args(ActionType)
@@ -25,8 +24,6 @@ STEP_BUDGET_MAX = 10_000_000
 
 DISTANCE_MAX = 1e5
 """The greatest reading of the distance meter, forwards and backwards, m."""
-
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,8 +68,8 @@ class RobotConfig:
 class LaserConfig:
     """A scanner with evenly spaced beams, by default an RPLIDAR A1, which sees all around.
 
-    Beam 0 of a laser that sees all around points where the laser does, straight ahead by default. With a smaller field
-    of view, beam 0 is its right edge and the last beam its left edge.
+    If it sees all around, beam 0 points where the laser points, by default straight ahead. Otherwise beam 0 is at the
+    right edge of the field of view, and the last beam at its left edge.
     """
 
     num_beams: int = 180
@@ -113,7 +110,7 @@ class LaserConfig:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class NoiseConfig:
-    """Errors of the three sensors; `NOISE_PRESETS` has the presets, and all zeros is the paper's world.
+    """Errors of the three sensors, by default none, as in the paper. `NOISE_PRESETS` holds the presets.
 
     The laser's terms are those of the beam model (Thrun, Burgard and Fox, Probabilistic Robotics, 6.3): with the given
     probabilities a range is too short, reads the maximum, or is random; otherwise it is the true one with Gaussian
@@ -206,14 +203,14 @@ class ClosureConfig:
     leave_radius: float = 10.0
     """How far away the robot must have been between the two visits, m."""
     event_gap: float = 2.0
-    """Runs of fresh revisit steps with less than this length of path between them are one event, m."""
+    """Path length, m; runs of fresh revisit steps with less than this between them are one event."""
     event_length_min: float = 1.0
-    """Events with a shorter path than this don't count, m."""
+    """Least path length of an event that counts, m."""
     claim_spacing: float = 2.0
     """Path length after a judged claim before the next one is judged, m."""
     sight_given: float = 0.0
-    """Two positions nearer to each other than this are in sight whatever walls lie between, m; for trajectories of real
-    robots, which don't fit a floor plan exactly."""
+    """Distance below which two positions are always in sight of each other, m. Trajectories of real robots need it,
+    since they don't fit a floor plan exactly."""
 
     def __post_init__(self) -> None:
         check_number(self, "return_radius", 0.1)
@@ -279,19 +276,19 @@ class EnvConfig:
     """
 
     map_name: str | tuple[str, ...] = "killian_court"
-    """A shipped floor plan, a YAML file, or a generated building such as generated:cycles=4,seed=7. Of several, and of
-    the buildings of generated:train, every reset draws one."""
+    """A shipped floor plan, a YAML file, or a generated building such as generated:cycles=4,seed=7. Of several, or
+    of the split generated:train, every reset draws one."""
     noise: NoisePreset | NoiseConfig | tuple[NoisePreset | NoiseConfig, ...] = "ideal"
-    """Errors of the sensors. Of several, every reset draws one for each robot."""
+    """Errors of the sensors. Given several, every reset draws one for each robot."""
     action_type: ActionType = "wheels"
     """What an action says: two wheel speeds, a twist (v, omega), or one of five drives."""
     random_start: bool = False
-    """Draw the start of an episode from all positions that the robot can reach; otherwise it is the plan's own."""
+    """Draw the start of an episode from all reachable positions instead of taking the plan's own."""
     terminate_on_collision: bool = False
     """End an episode at the first contact with a wall; the rest of its step budget is charged as time."""
     step_budget: int | None = None
-    """Steps after which an episode is truncated. By default they are enough to drive through corridors 2 m wide that
-    have the plan's area, three times."""
+    """Steps after which an episode is truncated. The default suffices to drive three times through
+    corridors 2 m wide with the plan's area."""
     robot: RobotConfig = RobotConfig()
     laser: LaserConfig = LaserConfig()
     closure: ClosureConfig = ClosureConfig()
@@ -311,8 +308,8 @@ class EnvConfig:
         several = isinstance(given, list | tuple)
         noise = tuple(given) if several else (given,)
         check_field(self, len(noise) > 0, "noise", "a noise preset, a NoiseConfig, or several")
-        configs = [noise_from_name(one) for one in noise]
-        noise = tuple(one if isinstance(one, str) else config for one, config in zip(noise, configs, strict=True))
+        checked_noise = [(one, noise_from_name(one)) for one in noise]
+        noise = tuple(one if isinstance(one, str) else config for one, config in checked_noise)
         checked = {
             "map_name": self.map_name if isinstance(self.map_name, str) else tuple(names),
             "noise": noise if several else noise[0],
@@ -327,7 +324,7 @@ class EnvConfig:
 
     @property
     def sensor_noise(self) -> tuple[NoiseConfig, ...]:
-        """The sensors' errors, of which every reset draws one, also where `noise` has names of presets."""
+        """The errors in `noise`, with the presets looked up; every reset draws one of them."""
         return tuple(noise_from_name(one) for one in (self.noise if isinstance(self.noise, tuple) else (self.noise,)))
 
     @property
@@ -337,36 +334,8 @@ class EnvConfig:
         return "+".join(names.get(one, "custom") for one in self.sensor_noise)
 
 
-def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:
-    """Return `value` as an instance of a settings class.
-
-    Parameters
-    ----------
-    cls : type
-        `EnvConfig` or the class of one of its parts.
-    value : cls, mapping or None
-        An instance, some of the fields by name, or None for the defaults.
-
-    Raises
-    ------
-    ConfigError
-        If a field is unknown (the message suggests the nearest) or out of range.
-    """
-    if isinstance(value, cls):
-        return value
-    if value is None:
-        return cls()
-    if not isinstance(value, Mapping):
-        raise ConfigError(f"expected a {cls.__name__} or a mapping of its fields, got {type(value).__name__}.")
-    known = {field.name for field in fields(cls)}  # pyright: ignore[reportArgumentType]
-    for key in value:
-        if key not in known:
-            raise ConfigError(unknown_name(f"field of {cls.__name__}", key, known))
-    return cls(**value)
-
-
 def noise_from_name(noise: str | NoiseConfig | Mapping[str, Any] | None) -> NoiseConfig:
-    """Return the noise preset of that name, or `noise` itself if it is a NoiseConfig or a mapping of its fields.
+    """Return the noise preset of that name, or the NoiseConfig that `noise` is or gives the fields of.
 
     Raises
     ------

@@ -20,7 +20,7 @@ class ActionError(CyclicLoopError, ValueError):
 
 
 class RecordingError(CyclicLoopError, ValueError):
-    """A recording is missing, damaged, of another layout, or can't be written."""
+    """A recording is missing or damaged, has an unknown layout, or can't be written."""
 
 
 class UsageError(CyclicLoopError, RuntimeError):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 import re
 import sys
 import threading
@@ -63,16 +64,21 @@ def _imported_files(file: Path) -> list[Path]:
     return files
 
 
+def num_cores() -> int:
+    """Return how many cores this process may use: kernels run without the GIL, so threads share them."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def inlined(function: Callable[..., Any]) -> Any:
     """Compile `function` into its callers, since numba can't return a tuple that holds a record."""
     return njit(inline="always")(function)
 
 
 def _call_c(context: Any, address: Any, arguments: Any) -> Any:
-    """Call, from a kernel, the C function at an address with a tuple of int64 (or pointers) and float64.
+    """Call, from a kernel, the C function at an address with a tuple of arguments: int64, pointers or float64.
 
-    The call returns nothing, and the function must not need the GIL. Calls from Python cost more than many such
-    functions take.
+    The function's result is ignored, and it must not need the GIL. A call from Python would take longer than many such
+    functions themselves.
     """
 
     def generate(context: Any, builder: Any, signature: Any, values: Any) -> Any:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import difflib
 import math
 import reprlib
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import fields
 from numbers import Integral, Real
 from typing import Any, TypeGuard, TypeVar
 
@@ -17,27 +18,27 @@ T = TypeVar("T")
 
 
 def short_repr(value: object) -> str:
-    """Return a short form of what was given, in one line: arrays and nested lists can be too large to print."""
+    """Return the value on one line for an error message; large arrays and nested lists are abbreviated."""
     short = reprlib.Repr()
     short.maxlevel, short.maxstring, short.maxother = 3, 200, 200
     try:
         text = short.repr(value)
-    except ValueError:  # Python prints no whole number of more than 4,300 digits
+    except ValueError:  # Python refuses to print integers of more than 4,300 digits
         text = "a number with thousands of digits"
     return " ".join(text.split())
 
 
 def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
-    """Say that `name` is no known `kind`, which ones are known, and which is nearest.
+    """Return the error message for an unknown name, which lists the known ones and suggests the nearest.
 
     Parameters
     ----------
     kind : str
         What the name should have been, such as ``"map"``.
     name : object
-        What was given.
+        The unknown name.
     known : iterable of str
-        All names that would have been right.
+        All valid names.
     """
     known = sorted(known)
     nearest = difflib.get_close_matches(name, known, n=1, cutoff=0.5) if isinstance(name, str) else []
@@ -46,17 +47,17 @@ def unknown_name(kind: str, name: object, known: Iterable[str]) -> str:
 
 
 def is_integer(value: object) -> TypeGuard[int]:
-    """Tell whether the value is a whole number, of Python or NumPy; True and False are not."""
+    """Tell whether the value is an integer of Python or NumPy; a bool is not."""
     return isinstance(value, Integral) and not isinstance(value, bool)
 
 
 def check_choice(kind: str, name: T, known: Collection[T]) -> T:
-    """Return `name`, the name of some `kind` of thing, such as a map.
+    """Return `name`, checked to be one of the `known` names of some `kind` of thing.
 
     Raises
     ------
     ConfigError
-        If it isn't one of the `known` names; the message suggests the nearest of them.
+        If it isn't; the message suggests the nearest known name.
     """
     if not isinstance(name, str) or name not in known:
         raise ConfigError(unknown_name(kind, name, map(str, known)))
@@ -64,7 +65,7 @@ def check_choice(kind: str, name: T, known: Collection[T]) -> T:
 
 
 def as_array(value: Any, what: str, expected: str, error: type[CyclicLoopError]) -> np.ndarray:
-    """Return `value` as an array of real numbers of any shape; the message says `what` it is and what is `expected`.
+    """Return `value` as an array of real numbers of any shape; the error says `what` it is and what was `expected`.
 
     Raises
     ------
@@ -121,7 +122,7 @@ def check_integer(owner: object, field: str, low: int, high: int) -> None:
 
 
 def check_bool(owner: object, field: str) -> None:
-    """Check that a field of a frozen settings class is True or False, of Python or NumPy; store it as Python's.
+    """Check that a field of a frozen settings class is a bool of Python or NumPy; store it as Python's.
 
     Raises
     ------
@@ -131,3 +132,21 @@ def check_bool(owner: object, field: str) -> None:
     value = getattr(owner, field)
     check_field(owner, isinstance(value, bool | np.bool_), field, "True or False")
     object.__setattr__(owner, field, bool(value))
+
+
+def from_mapping(cls: type[T], value: T | Mapping[str, Any] | None) -> T:
+    """Return an instance of a settings class: `value` itself, one with its fields, or the defaults if it is None.
+
+    Raises
+    ------
+    ConfigError
+        If a field is unknown (the message suggests the nearest) or out of range.
+    """
+    if isinstance(value, cls):
+        return value
+    if not isinstance(value, Mapping | None):
+        raise ConfigError(f"expected a {cls.__name__} or a mapping of its fields, got {type(value).__name__}.")
+    known = {field.name for field in fields(cls)}  # pyright: ignore[reportArgumentType]
+    for key in value or {}:
+        check_choice(f"field of {cls.__name__}", key, known)
+    return cls(**(value or {}))

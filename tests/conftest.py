@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import shapely
+from matplotlib.axes import Axes
 
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names
+from cyclic_env.rendering.figures import plan_figure
 from tests.helpers import load_script
 
 
@@ -31,3 +34,19 @@ def square_room() -> FloorPlan:
     """A room of 10 m x 10 m with a bent passage at its north-east corner that can't be seen from within."""
     boxes = [shapely.box(0, 0, 10, 10), shapely.box(10, 8, 20, 10), shapely.box(18, 8, 20, 30)]
     return FloorPlan("square_room", shapely.union_all(boxes), (5.0, 5.0, 0.0))  # pyright: ignore[reportArgumentType]
+
+
+@pytest.fixture
+def axes(square_room: FloorPlan) -> Axes:
+    """The axes of a figure of the square room."""
+    return plan_figure(square_room, "A room")[1]
+
+
+@pytest.fixture
+def dummy_display(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A display that nobody sees."""
+    pygame = pytest.importorskip("pygame")
+    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
+    pygame.display.quit()
+    yield
+    pygame.display.quit()

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import importlib
 import types
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pytest
+from matplotlib.axes import Axes
 
+from cyclic_env.errors import CyclicLoopError
 from cyclic_env.evaluation.statistics import Evaluation
 
 ROOT = Path(__file__).parents[1]
@@ -51,6 +56,24 @@ def roll_out(env: Any, actions: np.ndarray, seed: int | None) -> list[tuple[Any,
         if rollout[-1][2] or rollout[-1][3]:
             rollout.append(env.reset())
     return rollout
+
+
+@contextmanager
+def refused(message: str, error: type[CyclicLoopError] = CyclicLoopError) -> Iterator[None]:
+    """Expect an error of ours, in one line that matches the message."""
+    with pytest.raises(error, match=message) as caught:
+        yield
+    assert "\n" not in str(caught.value)
+
+
+def labels(axes: Axes) -> list[str]:
+    """Return the labels of a figure's legend."""
+    return [str(label) for label in axes.get_legend_handles_labels()[1]]
+
+
+def texts(axes: Axes) -> list[str]:
+    """Return the texts written in a figure."""
+    return [text.get_text() for text in axes.texts]
 
 
 def assert_same(a: Any, b: Any) -> None:

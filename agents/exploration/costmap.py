@@ -87,6 +87,13 @@ def draw_scan(grid, ranges, range_max, pose, values):
 
 
 @compiled
+def draw_scans(grid, scans, range_max, poses, values):
+    """Count the cells that the beams of scans `(n, beams)` at poses `(n, 3)` cross and end in."""
+    for k in range(scans.shape[0]):
+        draw_scan(grid, scans[k], range_max, poses[k], values)
+
+
+@compiled
 def inflate(grid, values):
     """Write the cost of each cell: free where beams have passed, dearer near walls, inf at walls and where unseen."""
     passes, hits, cost, cells = grid.passes, grid.hits, grid.cost, grid.passes.shape[0]
@@ -220,8 +227,7 @@ class Costmap:
         grid.corner[:] = pose[:2] - self.config.cells * self.config.cell / 2
         grid.passes[:] = 0
         grid.hits[:] = 0
-        for scan, taken_at in zip(scans, poses, strict=True):
-            draw_scan(grid, scan, self.range_max, taken_at, values)
+        draw_scans(grid, scans, self.range_max, poses, values)
         inflate(grid, values)
         clear_driven(grid, legs, values)
         cost_to_go(grid, self._queue, self._waiting, values)

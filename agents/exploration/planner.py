@@ -10,7 +10,7 @@ import numpy as np
 from agents.exploration.costmap import Costmap
 from agents.exploration.frontiers import Frontiers
 from agents.exploration.visibility import clear_beam, clear_lengths
-from agents.settings import ComponentConfig, kernel_tuple, pack
+from agents.settings import ComponentConfig
 from agents.slam.keyframes import Keyframes, Paths
 from agents.slam.se2 import euclidean_distances, wrap, wrap_all
 from cyclic_env.jit import compiled
@@ -71,9 +71,6 @@ class PlannerConfig(ComponentConfig):
     """The robot slows down over these metres before what is ahead, from full speed to this share of it."""
 
 
-PlannerValues = kernel_tuple("PlannerValues", PlannerConfig, __name__)
-
-
 class Planner:
     """The goal of the moment, the path to it, and the patience with it.
 
@@ -97,7 +94,6 @@ class Planner:
         self.config = config or PlannerConfig()
         self.goal: np.ndarray | None = None
         self.path = np.zeros((0, 2))
-        self._values = pack(PlannerValues, self.config)
         self._kind_cost = np.array([0.0, self.config.doubtful_cost, 0.0, self.config.unconfirmed_cost])
         self._patience, self._hesitation = round(self.config.patience / dt), round(self.config.hesitation / dt)
         self._costmap = costmap
@@ -219,14 +215,15 @@ class Planner:
             return 0.0, 0.0
         self._steps_stuck += 1
         clear_lengths(scan, self.config.half_width, self._clear)
-        target, bearing, distance = look_ahead(self.path, pose, self._clear, self._values)
+        reach = self.config.lookahead, self.config.target_clearance, self.config.passed
+        target, bearing, distance = look_ahead(self.path, pose, self._clear, *reach)
         self.path = self.path[target:]
         avoidance = self.config.avoidance if self._steps_stuck < self._hesitation else math.pi
         return steer_to(self._clear, bearing, distance, avoidance, self.config)
 
 
 @compiled
-def look_ahead(path, pose, clear, values):
+def look_ahead(path, pose, clear, lookahead, clearance, passed):
     """Return the farthest point of a path `(m, 2)` to which the way is clear, its bearing and its distance.
 
     Points that the robot has reached are passed over; where no way is clear, the first point is taken.
@@ -237,10 +234,10 @@ def look_ahead(path, pose, clear, values):
         dx, dy = path[k, 0] - pose[0], path[k, 1] - pose[1]
         distance = math.sqrt(dx * dx + dy * dy)
         beam = round((math.atan2(dy, dx) - pose[2]) / spacing) % clear.shape[0]
-        if distance < values.lookahead and distance < clear[beam] + values.target_clearance:
+        if distance < lookahead and distance < clear[beam] + clearance:
             target = k
     dx, dy = path[target, 0] - pose[0], path[target, 1] - pose[1]
-    if dx * dx + dy * dy < values.passed**2 and target < path.shape[0] - 1:
+    if dx * dx + dy * dy < passed**2 and target < path.shape[0] - 1:
         target += 1
         dx, dy = path[target, 0] - pose[0], path[target, 1] - pose[1]
     bearing = math.atan2(dy, dx) - pose[2]

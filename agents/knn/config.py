@@ -205,7 +205,9 @@ class ExplorerConfig:
     @property
     def least_similarity(self) -> float:
         """The threshold, or the calibrated one of the measure."""
-        return calibrated_thresholds(self.detector)[self.measure] if self.threshold is None else self.threshold
+        if self.threshold is not None:
+            return self.threshold
+        return calibrated_thresholds("knn" if self.detector == "knn" else "both")[self.measure]
 
     def fitted(self, laser: LaserConfig, robot: RobotConfig) -> ExplorerConfig:
         """Return these settings for another laser and robot: its reach, radius, speed and step.

@@ -5,8 +5,8 @@ with the beams fixed to the world's axes, as a compass allows. Two places look a
 differ by less than `TOLERANCE` on average. A place is aliased when any point more than `MIN_DISTANCE` away looks like
 it. That point need not lie on the lattice, so twin halves of a building are found however the lattice falls on them.
 
-The search compares each place with a lattice twice as fine. From the `NUM_CANDIDATES` points that look most like it, a
-pattern search proceeds in ever smaller steps. It may miss a look-alike, but never invents one.
+The search compares each place with a lattice twice as fine. A pattern search with ever smaller steps
+starts from each of the `NUM_CANDIDATES` points that look most like it. It may miss a look-alike, but never invents one.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ TOLERANCE = 0.25
 scans from the same spot differ by 0.28 to 0.29 m."""
 
 MIN_DISTANCE = ClosureConfig().gap
-"""Distance in a straight line from which a look-alike counts, metres: the path length that a closure requires."""
+"""Least straight-line distance to a look-alike that counts, metres; as long as the path that a closure requires."""
 
 NUM_CANDIDATES = 4
 MAX_CANDIDATE_DISTANCE = 1.0
-"""Mean range difference up to which a point is searched from, metres. In a corridor, a shift by half a step of the fine
-lattice changes the ranges by some 0.6 m."""
+"""Greatest mean range difference of a candidate, metres. In a corridor, a shift by half a step of the fine lattice
+changes the ranges by some 0.6 m."""
 
 CANDIDATE_SPACING = 1.0
 """Least distance between two candidates, metres, so that the neighbours of one don't crowd out the others."""
@@ -46,15 +46,15 @@ STEPS = (0.25, 0.125, 0.0625, 0.03125)
 """Step lengths of the pattern search, metres; the first is half a step of the fine lattice."""
 
 MAX_LATTICE_POINTS = 2_000_000
-"""Points of the fine lattice in the rectangle around a plan: some 3 GB of scans."""
+"""Greatest number of points of the fine lattice in the rectangle around a plan: some 3 GB of scans."""
 
 CHUNK = 200
-"""Places compared in one call of compiled code, between which Ctrl-C is heard and progress reported."""
+"""Places compared in one call of compiled code. Ctrl-C and progress reports have to wait for its end."""
 
 LASER = LaserConfig()
 BEAM_STRIDE = 77
-"""Comparisons take every 77th beam next, which visits them all: a few beams then look all around, and most comparisons
-end early."""
+"""Comparisons go through the beams in steps of 77, which reach all of them. The first few beams then already point all
+around, so that most comparisons end early."""
 
 
 class AliasingResult(NamedTuple):
@@ -78,7 +78,7 @@ class AliasingResult(NamedTuple):
 
 
 class _Views(NamedTuple):
-    """Points of a lattice, the scans from there, and what it takes to scan from elsewhere.
+    """Points of a lattice, the scans from these, and the arguments for scans from elsewhere.
 
     Attributes
     ----------
@@ -182,7 +182,7 @@ def find_candidates(positions, scans, places, differences, candidates):
     differences : (c,) float64
         Scratch space.
     candidates : (n, c) int64
-        Written: rows of `positions`, most alike first; -1 where there are no more.
+        Output: rows of `positions`, most alike first, then -1 for missing candidates.
     """
     last, num_beams = candidates.shape[1] - 1, scans.shape[1]
     for p in range(places.shape[0]):
@@ -198,7 +198,7 @@ def find_candidates(positions, scans, places, differences, candidates):
                 beam += 1
             if difference >= limit:
                 continue
-            rank = last  # of the candidate to replace: a close neighbour of this point, else the last one
+            rank = last  # of the candidate to replace: a close neighbour of this point, or the last
             for j in range(last, -1, -1):
                 if best[j] >= 0:
                     dx, dy = positions[i, 0] - positions[best[j], 0], positions[i, 1] - positions[best[j], 1]
@@ -214,7 +214,7 @@ def find_candidates(positions, scans, places, differences, candidates):
 
 @compiled
 def find_look_alikes(views, places, candidates, aliased):
-    """Find out which places have a look-alike, by a pattern search from each of their candidates.
+    """Find which places have a look-alike, by a pattern search from each of their candidates.
 
     Parameters
     ----------
@@ -224,7 +224,7 @@ def find_look_alikes(views, places, candidates, aliased):
     candidates : (n, c) int64
         As `find_candidates` writes them.
     aliased : (n,) bool
-        Written.
+        Output.
     """
     for p in range(places.shape[0]):
         aliased[p] = False

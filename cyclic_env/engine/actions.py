@@ -33,13 +33,13 @@ def check_actions(actions: Any, action_type: ActionType, num_robots: int) -> np.
     """
     discrete = action_type == "discrete"
     shape = (num_robots, 2 if discrete else 4)
-    array = as_array(actions, "the action", "one of the action space", ActionError)
+    array = as_array(actions, "the action", "an element of the action space", ActionError)
     if array.shape != shape:
         if array.shape[:1] != shape[:1]:
             raise ActionError(f"the actions have shape {array.shape}; expected {shape}, a row for each robot.")
         raise ActionError(f"the action has shape {array.shape[1:]}; expected {shape[1:]}.")
     if discrete and array.dtype.kind not in "iu":
-        raise ActionError(f"a discrete action holds whole numbers, got an array of type {array.dtype}.")
+        raise ActionError(f"a discrete action must hold whole numbers, got an array of type {array.dtype}.")
     return array.astype(np.int64 if discrete else np.float64)
 
 
@@ -59,16 +59,16 @@ def decode_actions(
         From `check_actions`.
     action_type, robot
     status : (N,) STATUS
-        How far each robot has come, since a claim names a share of the steps so far.
+        Holds the number of steps so far, of which a claim names a share.
     commands : (N, 2) float64
-        Written: speeds of the left and the right wheel, m/s.
+        Output: speeds of the left and the right wheel, m/s.
     claimed : (N,) int64
-        Written: the claimed step, `NEAREST` for a discrete claim, or `NO_CLAIM`.
+        Output: the claimed step, `NEAREST` for a discrete claim, or `NO_CLAIM`.
 
     Raises
     ------
     ActionError
-        If an action holds a NaN, or is none of the discrete ones.
+        If an action holds a NaN, or a discrete one is out of range.
     """
     if action_type == "discrete":
         bad = decode_discrete(actions, robot.wheel_speed_max, DISCRETE_WHEELS, commands, claimed)

@@ -1,4 +1,4 @@
-"""What the compiled code takes: the buildings that all robots share, and the episode of each robot."""
+"""The kernels' arguments: the buildings that all robots share, and the state of each robot's episode."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ INFO = np.dtype(
         ("heading", "f8"),
     ]
 )
-"""The flat part of an info, one record a robot; `reward_terms` comes beside it."""
+"""The scalars of an info, one record per robot; its `reward_terms` are stored separately."""
 
 OUTCOME = np.dtype(
     [
@@ -59,7 +59,7 @@ OUTCOME = np.dtype(
         ("truncated", "?"),
         ("contact", "?"),
         ("cells_seen", "i8"),
-        ("cells_paid", "i8"),  # those of them that the reward has paid for
+        ("cells_paid", "i8"),  # seen cells that the reward has already paid for
         ("episode_return", "f8"),  # sum of the rewards since the reset
     ]
 )
@@ -72,20 +72,20 @@ def step_budget(plan: FloorPlan, config: EnvConfig) -> int:
     Raises
     ------
     ConfigError
-        If the default is too many.
+        If the default exceeds `STEP_BUDGET_MAX`.
     """
     if config.step_budget is not None:
         return config.step_budget
     steps = BUDGET_LAPS * plan.free_area / CORRIDOR_WIDTH / config.robot.advance_max
     if steps > STEP_BUDGET_MAX:
         raise ConfigError(
-            f"floor plan {plan.name!r} is so large that its step budget exceeds {STEP_BUDGET_MAX}; give one."
+            f"floor plan {plan.name!r} is so large that its step budget exceeds {STEP_BUDGET_MAX}; set step_budget."
         )
     return math.ceil(steps)
 
 
 class Buildings(NamedTuple):
-    """What all robots share: the settings of the task, and the P plans in use."""
+    """The settings of the task and the P plans in use, which all robots share."""
 
     walls: WallIndex
     beams: Beams
@@ -98,7 +98,7 @@ class Buildings(NamedTuple):
 
 
 class Episodes(NamedTuple):
-    """What each of N robots has of its own."""
+    """The state of the episodes of N robots."""
 
     plan_of: np.ndarray
     drive: np.ndarray
@@ -112,7 +112,7 @@ class Episodes(NamedTuple):
 
 
 def make_buildings(plan: FloorPlan, config: EnvConfig) -> Buildings:
-    """Return the buildings of a pool in which one plan is in use."""
+    """Return the buildings when one plan is in use."""
     warn_of_hidden_cells(plan, config)
     budget = np.array([step_budget(plan, config)], np.int64)
     return Buildings(
@@ -142,7 +142,7 @@ def warn_of_hidden_cells(plan: FloorPlan, config: EnvConfig) -> None:
 
 
 def make_episodes(plan: FloorPlan, config: EnvConfig, simulation: Simulation, sensors: Sensors) -> Episodes:
-    """Return room for the episodes of all robots of the simulation in one plan."""
+    """Allocate the episodes of all robots of the simulation in one plan."""
     num_robots = len(simulation.drive)
     return Episodes(
         plan_of=simulation.plan_of,
@@ -160,7 +160,7 @@ def make_episodes(plan: FloorPlan, config: EnvConfig, simulation: Simulation, se
 def add_plan(
     buildings: Buildings, episodes: Episodes, plan: FloorPlan, config: EnvConfig
 ) -> tuple[Buildings, Episodes]:
-    """Return the buildings with one more plan in use, and the running episodes with room for those in it."""
+    """Return the buildings with one more plan in use, and the running episodes with arrays that have room for it."""
     other, num_robots = make_buildings(plan, config), len(episodes.info)
     cells = build_coverage_grid(plan, num_robots, config.coverage)
     memory = allocate_memory(plan, num_robots, int(other.step_budget[0]), config.closure)

@@ -25,8 +25,8 @@ from cyclic_env.engine.stage_timer import NoTimer
 from cyclic_env.errors import ConfigError, FloorPlanError, UsageError
 from cyclic_env.floor_plans import FloorPlan, PlanPool
 from cyclic_env.floor_plans.floor_plan import Pose
-from cyclic_env.jit import compile_notice
-from cyclic_env.simulation.physics import Simulation, World, num_cores
+from cyclic_env.jit import compile_notice, num_cores
+from cyclic_env.simulation.physics import Simulation, World
 from cyclic_env.simulation.sensors import Sensors
 from cyclic_env.task.coverage import seen_cells
 from cyclic_env.task.loop_closure import NO_CLAIM
@@ -39,8 +39,8 @@ Share = tuple[list[World], np.ndarray]
 class Engine:
     """N robots in the buildings of a pool, stepped together.
 
-    A plan is prepared when the first robot draws it, and the pool's first one at once. Prepared plans have numbers of
-    their own, in the order in which they were drawn.
+    The pool's first plan is prepared at once, and every other one when a robot first draws it. Prepared plans are
+    numbered in this order.
 
     Parameters
     ----------
@@ -48,15 +48,15 @@ class Engine:
     plans : PlanPool
     num_robots : int
     num_threads : int, optional
-        By default as many as the process may use cores.
+        By default one for each core that the process may use.
 
     Raises
     ------
     ConfigError
         If there is not enough memory for so many robots and steps.
     FloorPlanError
-        If a plan does not suit the robot, or the pool's first one the cells. The buildings of a split, and the cells of
-        all plans but the first, are checked by the reset that draws them.
+        If a loaded plan does not suit the robot, or the pool's first plan does not suit the cells. Everything else is
+        checked by the reset that draws the plan.
 
     Attributes
     ----------
@@ -75,12 +75,12 @@ class Engine:
         self.num_robots = num_robots
         self.timer = NoTimer()
         self._num_threads = num_threads or num_cores()
-        self._reachable: dict[int, shapely.Polygon] = {}  # by the index of the plan in the pool
+        self._reachable: dict[int, shapely.Polygon] = {}  # by the plans' indices in the pool
         for index, plan in plans.loaded.items():
             step_budget(plan, config)
-            self._reach(index)
-        self._reach(0)
-        self._numbers = {0: 0}  # of the prepared plans, by their indices in the pool
+            self._reachable_area(index)
+        self._reachable_area(0)
+        self._numbers = {0: 0}  # numbers of the prepared plans, by their indices in the pool
         first = plans[0]
         self.buildings = make_buildings(first, config)
         with self._enough_memory(first):
@@ -95,8 +95,8 @@ class Engine:
         self._threads: ThreadPoolExecutor | None = None
         self._threads_of = 0
 
-    def _reach(self, index: int) -> shapely.Polygon:
-        """Return where the robot can get to in a plan of the pool; the plan is checked for that first."""
+    def _reachable_area(self, index: int) -> shapely.Polygon:
+        """Return the area that the robot can reach in a plan of the pool, and raise if the plan does not suit it."""
         if index not in self._reachable:
             area = self.plans[index].reachable(self.config.robot.radius)
             shapely.prepare(area)
@@ -115,14 +115,14 @@ class Engine:
 
     @property
     def is_prepared(self) -> bool:
-        """Whether all plans of the pool are prepared, so that no reset can come upon one that does not suit."""
+        """Whether all plans of the pool are prepared, so that no reset can meet an unsuitable one."""
         return len(self._numbers) == len(self.plans)
 
     def _prepare(self, index: int) -> int:
-        """Return the number of a plan of the pool, which is prepared first if it is new."""
+        """Return the number of a plan of the pool, and prepare the plan if it is new."""
         if index not in self._numbers:
             plan = self.plans[index]
-            self._reach(index)
+            self._reachable_area(index)
             with self._enough_memory(plan):
                 self.buildings, self.episodes = add_plan(self.buildings, self.episodes, plan, self.config)
             self.simulation.plans = (*self.simulation.plans, plan)
@@ -130,7 +130,7 @@ class Engine:
         return self._numbers[index]
 
     def reset_row(self, row: int, rng: np.random.Generator, start: Any = None) -> None:
-        """Begin an episode of one robot; draws from `rng` the plan, the start, and the sensors' errors.
+        """Begin an episode of one robot, whose plan, start and sensor errors are drawn from `rng`.
 
         Parameters
         ----------
@@ -142,7 +142,7 @@ class Engine:
         Raises
         ------
         FloorPlanError
-            If the robot can't stand at `start`, or the plan does not suit it; its episode goes on.
+            If the robot can't stand at `start`, or the plan does not suit it; the running episode goes on.
         """
         plan, pose = self.draw_start(rng, start)
         self.simulation.place(row, plan, pose)
@@ -153,7 +153,7 @@ class Engine:
         self._not_placed.discard(row)
 
     def draw_start(self, rng: np.random.Generator, start: Any = None) -> tuple[int, Pose]:
-        """Return a plan's number, and the pose in it with which an episode begins; see `reset_row`."""
+        """Draw a plan and a start in it, and return the plan's number and the pose; see `reset_row`."""
         index = int(rng.integers(len(self.plans))) if len(self.plans) > 1 else 0
         number = self._prepare(index)
         if start is not None:
@@ -162,7 +162,7 @@ class Engine:
             x, y, heading = self._random_start(index, rng)
         else:
             x, y, heading = self.plans[index].start
-        return number, (x, y, wrap_angle(math.remainder(heading, 2 * math.pi)))  # exact for the largest headings, too
+        return number, (x, y, wrap_angle(math.remainder(heading, 2 * math.pi)))  # exact even for huge headings
 
     def _check_start(self, index: int, start: Any) -> Pose:
         expected = "(x, y, heading) in metres and radians, all finite"
@@ -183,7 +183,7 @@ class Engine:
             if len(inside):
                 x, y = points[inside[0]]
                 return float(x), float(y), float(rng.uniform(-math.pi, math.pi))
-        raise FloorPlanError(f"floor plan {self.plans[index].name!r}: found no random start; give one.")
+        raise FloorPlanError(f"floor plan {self.plans[index].name!r}: found no random start; give a start.")
 
     def step(self, actions: Any, rngs: Sequence[np.random.Generator], skip: np.ndarray | None = None) -> None:
         """Step all robots; afterwards `info`, `terms`, `outcome` and the readings are up to date.
@@ -194,14 +194,14 @@ class Engine:
             From the action space of the configured type.
         rngs : sequence of N Generators
         skip : (N,) bool, optional
-            Robots that are about to be reset: they draw nothing, and nothing of theirs changes but where they stand.
+            Robots that are about to be reset: they draw no random numbers, and only their poses may change.
 
         Raises
         ------
         ActionError
             If the actions have the wrong shape or type, or those of robots that are not skipped hold a NaN.
         UsageError
-            If a robot has begun no episode.
+            If a robot has not begun an episode.
         """
         if self._not_placed:
             raise UsageError("there is no episode yet: call reset() first.")
@@ -214,7 +214,7 @@ class Engine:
         Engine._warm = True
 
     def _decode(self, actions: Any, skip: np.ndarray | None) -> None:
-        """Turn actions into wheel speeds and claimed steps; those of skipped robots into standing still."""
+        """Turn actions into wheel speeds and claimed steps; skipped robots stand still."""
         config = self.config
         checked = check_actions(actions, config.action_type, self.num_robots)
         if skip is not None:
@@ -234,9 +234,9 @@ class Engine:
         return [(worlds, rows[~skip[rows]]) for worlds, rows in self._shares]
 
     def _run(self, shares: list[Share], rngs: Sequence[np.random.Generator]) -> None:
-        """Let this thread do the first share of a step, and others the other ones."""
+        """Do the first share of a step in this thread, and each of the others in one of the pool."""
         first, *others = shares
-        if others and (self._threads is None or self._threads_of != os.getpid()):  # a fork has no threads
+        if others and (self._threads is None or self._threads_of != os.getpid()):  # a forked process has no threads
             self._threads = ThreadPoolExecutor(len(others), thread_name_prefix="cyclic_env")
             self._threads_of = os.getpid()
         pending = [self._threads.submit(self._step_share, *share, rngs) for share in others] if self._threads else []
@@ -277,7 +277,7 @@ class Engine:
         Raises
         ------
         UsageError
-            If there is no such robot; or it has begun no episode, and there is a pool to draw from.
+            If there is no such robot, or it has yet to draw its plan from a pool.
         """
         self._check_row(row)
         if len(self.plans) == 1:
@@ -331,10 +331,10 @@ class Engine:
             self._threads = None
 
     def __getstate__(self) -> dict[str, Any]:
-        # Spaces and threads belong to a process: they are made anew when they are needed.
+        # Spaces and threads belong to a process and are made again when needed.
         return {**self.__dict__, "_shares": [], "_threads": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        # The simulation makes its arrays anew when it is copied, so the episodes have to be given them again.
+        # A copied simulation has new arrays, which the episodes must share.
         self.episodes = self.episodes._replace(plan_of=self.simulation.plan_of, drive=self.simulation.drive)

@@ -21,7 +21,7 @@ def wrap_angle(angle):
 
 @compiled
 def begin_episode(buildings, episodes, row, pose):
-    """Forget the robot's last episode; scan from the start, and mark what the scan sees."""
+    """Clear the robot's last episode, scan from the start, and mark the cells that the scan sees."""
     plan, ranges, grid = episodes.plan_of[row], episodes.true_ranges[row], episodes.grid
     robot = robot_view(episodes.memory, row)
     begin(robot, building_view(episodes.memory, plan), pose[0], pose[1])
@@ -42,11 +42,11 @@ def begin_episode(buildings, episodes, row, pose):
 def judge_rows(buildings, episodes, rows, claimed):
     """Scan, mark, judge and reward the step that the robots `rows` have just driven."""
     grid, rules, beams = episodes.grid, buildings.rules, buildings.beams
-    scratch = episodes.scratch[rows[0] if len(rows) else 0]  # one for all: no other thread has the same first row
+    scratch = episodes.scratch[rows[0] if len(rows) else 0]  # for all rows; no other thread has the same first row
     for row in rows:
         plan, drive, ranges = episodes.plan_of[row], episodes.drive[row], episodes.true_ranges[row]
         if episodes.memory.status[row].steps >= buildings.step_budget[plan]:
-            continue  # there is no room for another
+            continue  # the arrays have no room for another step
         outcome, info = episodes.outcome[row], episodes.info[row]
         robot, building = robot_view(episodes.memory, row), building_view(episodes.memory, plan)
         status = robot.status
@@ -81,7 +81,7 @@ def judge_rows(buildings, episodes, rows, claimed):
 
 @compiled
 def passed_multiple(before, after, spacing):
-    """Tell whether a path that grew from `before` to `after` passed a multiple of `spacing`; always if that is 0."""
+    """Tell whether a path growing from `before` to `after` passes a multiple of `spacing`; always if `spacing` is 0."""
     return spacing == 0 or math.floor(after / spacing) > math.floor(before / spacing)
 
 

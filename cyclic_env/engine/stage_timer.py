@@ -7,7 +7,7 @@ from collections import defaultdict
 
 
 class NoTimer:
-    """Measures nothing; the engine has one unless somebody asks for a `StageTimer`."""
+    """Measures nothing; the engine's default, in place of a `StageTimer`."""
 
     def start(self) -> None:
         """Begin the first of several stages."""

@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from gymnasium.utils import seeding
 
-from cyclic_env.config import EnvConfig, from_mapping
+from cyclic_env.config import EnvConfig
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import FloorPlan, MapName, PlanPool, load_floor_plans
-from cyclic_env.validation import check_choice, is_integer, short_repr
+from cyclic_env.validation import check_choice, from_mapping, is_integer, short_repr
 
 RENDER_MODES = ("human", "rgb_array")
 RENDER_FPS = 5
@@ -26,12 +26,12 @@ def env_config(
     config: EnvConfig | Mapping[str, Any] | None,
     settings: Mapping[str, Any],
 ) -> tuple[EnvConfig, PlanPool]:
-    """Return the settings of an environment and its floor plans, except for the buildings of splits, which wait.
+    """Return the settings of an environment and its pool of floor plans.
 
     Parameters
     ----------
     map_name : optional
-        Used in place of the config's. Floor plans that are given themselves are in the config by their names.
+        Used in place of the config's. The returned config refers to a `FloorPlan` by its name.
     config : optional
         By default the default settings.
     settings : mapping
@@ -85,7 +85,7 @@ def check_seed(seed: Any) -> int | None:
 
 
 def start_option(options: dict[str, Any] | None, *known: str) -> Any:
-    """Return the start that the options of a reset name, or None.
+    """Return the start among the options of a reset, or None.
 
     Raises
     ------
@@ -102,5 +102,5 @@ def start_option(options: dict[str, Any] | None, *known: str) -> Any:
 
 
 def peek_rng(rng: np.random.Generator, seed: int | None) -> np.random.Generator:
-    """Return a generator that draws what `rng` will draw once it is seeded, if there is a seed."""
+    """Return a generator that draws the numbers that `rng` will draw next, after seeding it if there is a seed."""
     return copy.deepcopy(rng) if seed is None else seeding.np_random(seed)[0]

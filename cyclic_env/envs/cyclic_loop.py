@@ -70,17 +70,17 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | ``coverage`` | 50 x share of the free cells newly seen (100 where the building has no cycle) |
     | ``new_cycle`` | 50 / cycles of the building, for each one closed |
     | ``false_claim`` | -5 for each |
-    | ``missed_revisit`` | -1 for each stretch of known ground, once, that the robot passed without a correct claim |
+    | ``missed_revisit`` | -1 for each stretch of known ground passed without a correct claim; each counts once |
     | ``collision`` | -40 / step budget, for each step in which a wall pushed back |
     | ``time`` | -10 / step budget, for each step; a collision that ends the episode is charged the rest of them |
 
-    What the scan at the start sees is paid in the first step.
+    The cells that the scan at the start sees are paid for in the first step.
 
     **Info** has the same keys after every reset and step. Its values are Python scalars: ``is_success``, ``coverage``
     (share of the free cells that have been seen), ``cycles_closed``, ``cycles_total``, ``revisit`` (whether this step
     truly is one), ``claim_judged``, ``claim_correct``, ``claim_error_m`` (distance between the two positions of a
     judged claim; 0.0 without one), ``claims`` (judged so far), ``false_claims``, ``revisits`` (settled so far),
-    ``revisits_recognised``, ``precision``, ``recall`` (both 1.0 as long as nothing could be wrong), ``new_cycle``,
+    ``revisits_recognised``, ``precision``, ``recall`` (each 1.0 while it has nothing to count), ``new_cycle``,
     ``collisions`` (contacts begun), ``path_length_m``, and the true ``x``, ``y`` and ``heading``; and ``reward_terms``,
     a dict of floats. `cyclic_env.task.loop_closure` defines revisits, claims and cycles.
 
@@ -116,9 +116,9 @@ class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     Version history
     ---------------
-    v0: the first. Since rules 2 (`cyclic_env.task.loop_closure.RULES_VERSION`) ground counts once for revisit events,
-    and with them for ``missed_revisit``, precision and recall; a correct claim just before an event recognises it. And
-    a cycle is a hole with a lap of at least 40 m, rather than one with a ring of 40 m or more.
+    v0: the first. Version 2 of its rules (`cyclic_env.task.loop_closure.RULES_VERSION`) counts known ground once for
+    revisit events, and so for ``missed_revisit``, precision and recall. A correct claim just before an event recognises
+    it, and a cycle needs a lap, rather than a ring, of at least 40 m.
 
     References
     ----------

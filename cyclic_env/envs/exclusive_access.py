@@ -1,4 +1,4 @@
-"""One thread at a time in an environment."""
+"""The lock that lets one thread at a time use an environment."""
 
 from __future__ import annotations
 

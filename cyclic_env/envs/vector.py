@@ -47,11 +47,11 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         that ends an episode returns the first observation of the next one, and the last one in ``infos["final_obs"]``
         and ``infos["final_info"]``. ``DISABLED``: reset by ``reset(options={"reset_mask": mask})``.
     max_episode_steps : int, optional
-        Truncates earlier than the step budget, and changes nothing else, as Gymnasium's ``TimeLimit`` does: a revisit
-        that is going on then does not settle.
+        Truncates episodes before the step budget does. As with Gymnasium's ``TimeLimit``, nothing else changes: a
+        revisit event that is still open is not settled.
     num_threads : int, optional
-        Threads that step the robots, at most as many as there are robots; they change no bit of the results. By
-        default as many as the process may use cores.
+        Greatest number of threads that step the robots, by default one for each core that the process may use. The
+        results don't depend on it.
     map_name, config, render_mode, **settings
         As for `CyclicLoopEnv`; ``reset(options={"start": ...})`` takes (3,) or (N, 3).
 
@@ -136,34 +136,25 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
     def step(
         self, actions: Any, *, active: np.ndarray | None = None
     ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
-        """Step every row, and reset those that the autoreset mode says.
+        """Step every row, and reset ended rows as the autoreset mode says.
 
         Parameters
         ----------
         actions : (N, ...) array
         active : (N,) bool, optional
-            With ``DISABLED``: leave the other rows out, as ended ones must be until they are reset. They draw
-            nothing, and what is returned of them is that of their last step but for the reward, which is 0.
+            The rows to step, with ``DISABLED`` only; ended rows must be left out until they are reset. A row that is
+            left out draws no random numbers and repeats the results of its last step, with a reward of 0.
 
         Raises
         ------
         ActionError, UsageError
-            If the actions don't fit, or there is no episode to go on with; nothing has changed.
+            If the actions don't fit, or a row has no running episode; nothing has changed.
         FloorPlanError
             If a row that is reset draws a plan that does not suit the robot. The step has been taken; the next one
-            resets that row again, which draws anew.
+            resets that row again, with a new draw.
         """
         with self._access:
-            ended = self._ended.copy()
-            disabled = self.autoreset_mode == AutoresetMode.DISABLED
-            if active is not None and not disabled:
-                raise UsageError("only with the autoreset mode DISABLED can rows be left out of a step.")
-            skip = ended if active is None else ~active
-            if disabled and (ended if active is None else ended & active).any():
-                rows = short_repr(np.flatnonzero(ended).tolist())
-                raise UsageError(
-                    f"the episodes of rows {rows} have ended: reset them with options={{'reset_mask': mask}} first."
-                )
+            ended, skip = self._ended.copy(), self._rows_to_skip(active)
             self.engine.step(actions, self._rngs, skip=skip if skip.any() else None)
             outcome = self.engine.outcome
             rewards, terminated, truncated = (
@@ -174,7 +165,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
             if self.max_episode_steps is not None:
                 truncated |= self.engine.steps >= self.max_episode_steps
             rewards[skip] = 0.0
-            if ended.any() and not disabled:  # NEXT_STEP
+            if ended.any() and self.autoreset_mode != AutoresetMode.DISABLED:  # NEXT_STEP, or a reset failed before
                 self._reset_rows(np.flatnonzero(ended))
                 terminated[ended], truncated[ended] = False, False
             ended = self._ended = terminated | truncated
@@ -184,6 +175,18 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
                 infos.update(_final_obs=ended.copy(), _final_info=ended.copy())
                 self._reset_rows(np.flatnonzero(ended))
             return self.engine.observation(), rewards, terminated, truncated, infos | self._infos(self._all)
+
+    def _rows_to_skip(self, active: np.ndarray | None) -> np.ndarray:
+        """Return which rows a step leaves out, `(N,)` bool: those not `active`, by default those that have ended."""
+        disabled = self.autoreset_mode == AutoresetMode.DISABLED
+        if active is not None and not disabled:
+            raise UsageError("rows can be left out of a step only with the autoreset mode DISABLED.")
+        if disabled and (self._ended if active is None else self._ended & active).any():
+            rows = short_repr(np.flatnonzero(self._ended).tolist())
+            raise UsageError(
+                f"the episodes of rows {rows} have ended: reset them with options={{'reset_mask': mask}} first."
+            )
+        return self._ended.copy() if active is None else ~active
 
     def _reset_rows(self, rows: np.ndarray, starts: np.ndarray | None = None) -> None:
         for row in rows:
@@ -195,7 +198,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         """Return copies of the infos; as in Gymnasium, ``_key`` tells for which rows `key` holds."""
         infos: dict[str, Any] = {}
         given = mask.copy()
-        given.flags.writeable = False  # one mask stands under all keys
+        given.flags.writeable = False  # all keys share one mask
         for name in INFO.names or ():
             infos[name] = self._where(mask, self.engine.info[name])
             infos[f"_{name}"] = given
@@ -232,7 +235,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
         if isinstance(seed, Sequence) and not isinstance(seed, str | bytes):
             if len(seed) != self.num_envs:
                 raise ConfigError(
-                    f"{len(seed)} seeds were given for {self.num_envs} rows; give one seed, or one a row."
+                    f"{len(seed)} seeds were given for {self.num_envs} rows; give one seed, or one for each row."
                 )
             return [check_seed(value) for value in seed]
         first = check_seed(seed)
@@ -271,10 +274,7 @@ class CyclicLoopVectorEnv(VectorEnv[dict[str, np.ndarray], np.ndarray, np.ndarra
 
     @property
     def info_records(self) -> np.ndarray:
-        """The infos of all rows as they are now, without the reward's terms: a read-only `(N,)` structured array.
-
-        It is cheaper than the infos that `step` returns, and always of the present moment.
-        """
+        """The scalars of the current infos: a read-only `(N,)` structured array, cheaper than the infos of `step`."""
         records = self.engine.info.view()
         records.flags.writeable = False
         return records

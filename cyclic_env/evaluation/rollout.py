@@ -1,7 +1,7 @@
 """Roll out any policy, one episode for each seed, and score it.
 
-A policy is any object with the `predict` of Stable-Baselines3's ``PolicyPredictor``. Every report leads with cycles
-closed and false claims together: a policy that claims in every step closes cycles too, and shows nothing by it.
+A policy is any object with the `predict` of Stable-Baselines3's ``PolicyPredictor``. Cycles closed mean nothing
+without the false claims beside them, since a policy that claims in every step closes cycles, too.
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ from cyclic_env.floor_plans import PlanPool, load_floor_plans, pool_label
 from cyclic_env.validation import is_integer, short_repr
 
 BATCH_SIZE = 16
-"""Most episodes that run at once, unless told otherwise."""
+"""Default number of episodes that run at once."""
 
 EPISODES_MAX = 1_000_000
-"""Most episodes of one evaluation; a larger number is taken for a typing error."""
+"""Greatest number of episodes in one evaluation; a larger number is taken for a typing error."""
 
 
 class Policy(Protocol):
-    """What is asked of a policy.
+    """The interface of a policy.
 
-    It may also have ``reseed(state, seeds) -> state``. It is then told the seeds of the episodes that begin (None for
-    other rows), so that its random numbers need not depend on the row or the batch.
+    It may also have ``reseed(state, seeds) -> state``, which gets the seeds of the episodes that begin (None for other
+    rows), so that random numbers need not depend on the row or the batch.
     """
 
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[np.ndarray, Any]:
-        """Return a batch of actions, and a state that comes back with the next call."""
+        """Return a batch of actions, and the state to pass to the next call."""
         ...
 
 
@@ -65,17 +65,17 @@ def evaluate(
     agent : str
         Name of the policy in reports.
     seeds : iterable of int
-        All different. With noise ``"ideal"`` and the plan's own start they change nothing for a deterministic policy.
+        All different. They change nothing for a deterministic policy with noise ``"ideal"`` and the plan's own start.
     map_name, noise, settings
         As for `CyclicLoopEnv`.
     num_envs : int, optional
-        Most episodes that run at once; by default `BATCH_SIZE`.
+        Greatest number of episodes that run at once; by default `BATCH_SIZE`.
     every_plan : bool
         Run the episode of seed s on plan s modulo the number of plans; by default an episode draws its plan.
     deterministic : bool
         Handed to the policy.
     on_step : callable, optional
-        Called after every step with the evaluation as far as it has come.
+        Called after every step with the evaluation so far.
 
     Raises
     ------
@@ -101,10 +101,10 @@ def _empty_evaluation(
     env = _make_env(pool, seeds, settings)
     config = env.config
     env.close()
-    acts_by = getattr(policy, "action_type", config.action_type)
-    if acts_by != config.action_type:
+    action_type = getattr(policy, "action_type", config.action_type)
+    if action_type != config.action_type:
         raise ConfigError(
-            f"the policy acts by {short_repr(acts_by)}, the environment by {config.action_type!r}; make one fit."
+            f"the policy has action type {short_repr(action_type)}, but the environment has {config.action_type!r}."
         )
     return Evaluation(
         agent=agent,
@@ -167,7 +167,7 @@ def rollout(
     Raises
     ------
     ConfigError
-        If the policy, the env or the seeds don't fit; before any step.
+        If the policy, the env or the seeds don't fit; raised before any step.
     """
     if isinstance(policy, type) or not callable(getattr(policy, "predict", None)):
         raise ConfigError(f"the policy is {short_repr(policy)}; expected an object with predict(observation, ...).")
@@ -181,7 +181,7 @@ def rollout(
 
 
 class _Batch:
-    """The rows of a vector env, each with the episode of a seed; rows without one run along until all are done."""
+    """The rows of a vector env, each with the episode of a seed; rows without a seed still step until all are done."""
 
     def __init__(self, policy: Policy, env: VectorEnv, seeds: Sequence[int]) -> None:
         count = env.num_envs
@@ -198,7 +198,7 @@ class _Batch:
         return self._waiting.popleft() if self._waiting else None
 
     def _start_episodes(self, seeds: Sequence[int | None]) -> None:
-        """Tell the policy the seeds of the episodes that begin, and see on which plans they do."""
+        """Tell the policy the seeds of the episodes that begin, and note their plans."""
         reseed = getattr(self._policy, "reseed", None)
         if reseed is not None:
             self._state = reseed(self._state, seeds)
@@ -259,7 +259,7 @@ def checked_seeds(seeds: Iterable[int]) -> list[int]:
     Raises
     ------
     ConfigError
-        If there are none, more than `EPISODES_MAX`, or the same one twice, or one is no whole number of at least 0.
+        If there are no seeds or more than `EPISODES_MAX`, or one is repeated or is not a whole number of at least 0.
     """
     if not isinstance(seeds, Iterable):
         raise ConfigError(f"seeds is {short_repr(seeds)}; expected several whole numbers, such as range(10).")
@@ -267,7 +267,7 @@ def checked_seeds(seeds: Iterable[int]) -> list[int]:
     if not checked:
         raise ConfigError("there are no seeds, so there is nothing to evaluate; give at least one.")
     if len(checked) > EPISODES_MAX:
-        raise ConfigError(f"there are more than {EPISODES_MAX:,} seeds, one an episode; give fewer.")
+        raise ConfigError(f"there are more than {EPISODES_MAX:,} seeds, one for each episode; give fewer.")
     for seed in checked:
         if not is_integer(seed) or seed < 0:
             raise ConfigError(f"a seed is {short_repr(seed)}; expected a whole number of at least 0.")
@@ -283,7 +283,7 @@ def _map_names(env: VectorEnv) -> list[str]:
     try:
         return [plan.name for plan in env.unwrapped.get_attr("floor_plan")]  # pyright: ignore[reportAttributeAccessIssue]
     except AttributeError as error:
-        raise ConfigError(f"the env is {short_repr(env)}; expected one of CyclicLoop environments.") from error
+        raise ConfigError(f"the env is {short_repr(env)}; expected a vector env of CyclicLoop environments.") from error
 
 
 def _reward_terms(infos: Mapping[str, Any], ended: np.ndarray) -> dict[str, np.ndarray]:

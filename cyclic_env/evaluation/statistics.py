@@ -25,7 +25,7 @@ METRICS = (
     "path_length_m",
     "steps",
 )
-"""The metrics of a summary: means over episodes, but precision and recall are shares of all episodes together."""
+"""The metrics of a summary, averaged over episodes; precision and recall are pooled."""
 
 BOUNDS = {
     "return": (-math.inf, math.inf),
@@ -34,7 +34,7 @@ BOUNDS = {
     "precision": (0.0, 1.0),
     "recall": (0.0, 1.0),
 }
-"""The least and the greatest mean that is possible; all other metrics are counts or lengths, at least 0."""
+"""The least and the greatest possible mean; all other metrics are counts or lengths, at least 0."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,10 +65,9 @@ class Evaluation:
     def summary(self) -> dict[str, dict[str, float]]:
         """Return the ``mean`` of every metric, and its 95 % interval, ``low`` to ``high``.
 
-        Precision and recall are pooled over all episodes, so that an episode in which nothing was judged counts neither
-        way; they are NaN where nothing was judged in any. The interval is Wilson's for ``is_success``, and Student's
-        for all others. It is NaN where the data can't tell it: with one episode, with `identical_episodes`, and
-        Student's also where all values are equal.
+        Precision and recall are shares of the counts of all episodes together, and NaN if these are 0. The interval is
+        Wilson's for ``is_success``, and Student's for all others. It is NaN if there is only one episode or all are
+        identical; Student's is also NaN if all values are equal.
         """
         summary: dict[str, dict[str, float]] = {}
         identical = self.identical_episodes
@@ -77,12 +76,12 @@ class Evaluation:
             interval = wilson_interval if metric == "is_success" else mean_interval
             low, high = (math.nan, math.nan) if identical else interval(values)
             lower, upper = BOUNDS.get(metric, (0.0, math.inf))
-            low, high = max(low, lower), min(high, upper)  # in this order a NaN stays
+            low, high = max(low, lower), min(high, upper)  # keeps a NaN, unlike max(lower, low)
             summary[metric] = {"mean": float(values.mean()) if len(values) else math.nan, "low": low, "high": high}
         return summary
 
     def _values(self, metric: str) -> np.ndarray:
-        """Return a value for each episode, `(n,)`, whose mean is that of the metric."""
+        """Return `(n,)` values, one for each episode, whose mean is the metric's."""
         if metric == "precision":
             recognised = self._values("revisits_recognised")
             return pooled_share(recognised, recognised + self._values("false_claims"))
@@ -133,7 +132,7 @@ def wilson_interval(outcomes: np.ndarray) -> tuple[float, float]:
 def pooled_share(parts: np.ndarray, wholes: np.ndarray) -> np.ndarray:
     """Return `(n,)` values whose mean is the share of all parts in all wholes; NaN if the wholes are all 0.
 
-    To first order they spread as the share does, so that `mean_interval` of them is the interval of the share: this is
+    To first order, their mean varies as the share does, so that their `mean_interval` is the share's interval: this is
     the usual estimator of a ratio (Cochran 1977, Sampling Techniques, 6.4).
 
     Parameters
@@ -157,8 +156,8 @@ class Difference(NamedTuple):
 def paired_difference(a: np.ndarray, b: np.ndarray, *, resamples: int = 10_000, seed: int = 0) -> Difference:
     """Return the mean of a - b over pairs, with the 95 % percentile interval of a paired bootstrap.
 
-    Pairs are drawn with replacement, so a pair has to be the unit that varies independently: a floor plan, or a start,
-    with the mean of its episodes, rather than one of several episodes on the same plan.
+    The pairs have to be independent: a pair is a floor plan, or a start, with the mean of its episodes, rather than
+    one of several episodes on the same plan.
 
     Parameters
     ----------
@@ -166,7 +165,7 @@ def paired_difference(a: np.ndarray, b: np.ndarray, *, resamples: int = 10_000, 
         Values of the same n units, in the same order.
     resamples : int
     seed : int
-        Of the draws; the same seed gives the same interval.
+        Seed of the resampling; the same seed gives the same interval.
 
     Returns
     -------

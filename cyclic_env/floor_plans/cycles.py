@@ -2,13 +2,13 @@
 
 Let F be the free space shrunk by the robot's radius: where its centre can be. The lap of a hole is the shortest closed
 curve in F that winds once around it, and not around any other hole with a ring of `min_length` or more. The hole is a
-cycle if its lap is at least `min_length` long and has two points at least `min_extent` apart. A hole without a lap is
-no cycle: it is one with the outer wall, or with another such hole, wherever the robot is too wide to pass between them.
+cycle if its lap is at least `min_length` long and has two points at least `min_extent` apart. A hole has no lap,
+and is no cycle, if the robot is too wide to pass between it and the outer wall or another such hole.
 
-A curve that winds around a hole winds around the whole hole of F that it lies in. So the perimeter of the convex hull
-of the latter bounds the lap from below, and the length of its ring from above. Only where these leave it open, the lap
-is searched for: as the shortest path from (v, 0) to (v, 1) in the visibility graph of F, with nodes that also count the
-signed crossings of a ray from the hole. Once the path closes, that count is its winding number.
+A curve that winds around a hole winds around the whole hole of F that contains it. The perimeter of the convex hull of
+the latter therefore bounds the lap from below, and the length of its ring from above. If these bounds don't decide, the
+lap is found as the shortest path from (v, 0) to (v, 1) in the visibility graph of F, whose nodes also count the signed
+crossings of a ray from the hole. Once the path closes, that count is its winding number.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from shapely.geometry import Point, Polygon
 from shapely.geometry.polygon import orient
 
 QUARTER_SEGMENTS = 4
-"""Chords per quarter of the arc that the robot drives around a corner, 5 mm inside it for a radius of 0.25 m."""
+"""Chords per quarter turn of the arc around a corner, at most 5 mm inside it for a robot's radius of 0.25 m."""
 
 MARGIN = 1e-6
 """Metres by which a line of sight may leave F by rounding."""
@@ -77,7 +77,7 @@ def find_cycles(
 
 
 def shortest_lap(space: Polygon, obstacle: Polygon, others: Sequence[Polygon], limit: float) -> np.ndarray | None:
-    """Return the shortest closed curve in a space that winds once around an obstacle, and not around some others.
+    """Return the shortest closed curve in a space that winds once around an obstacle, and not around `others`.
 
     Parameters
     ----------
@@ -144,7 +144,7 @@ def _hull_points(polygon: Polygon) -> np.ndarray:
 
 
 def _perimeters_with(points: np.ndarray, hull: np.ndarray) -> np.ndarray:
-    """Return the perimeter of a convex hull with each of some points added to it, metres."""
+    """Return the perimeter of a convex hull with each one of the points added to it, metres."""
     sides, ways = np.roll(hull, -1, axis=0) - hull, points[:, None] - hull
     outside, distances = _cross(sides, ways) < 0, np.linalg.norm(ways, axis=2)  # (n, sides)
     first, last = outside & ~np.roll(outside, 1, axis=1), outside & ~np.roll(outside, -1, axis=1)
@@ -175,7 +175,7 @@ def _visibility_graph(space: Polygon, hull: np.ndarray, limit: float) -> _Graph:
 
 def _shortest_winding(graph: _Graph, anchors: np.ndarray, limit: float) -> np.ndarray | None:
     """Return the shortest closed path that winds once around the first anchor and not around the others, if any."""
-    from scipy.sparse import coo_array  # takes a tenth of a second that most plans don't need
+    from scipy.sparse import coo_array  # slow to import, and only few plans need it
     from scipy.sparse.csgraph import dijkstra
 
     count = len(graph.points)

@@ -21,23 +21,23 @@ from cyclic_env.floor_plans.cycles import find_cycles
 from cyclic_env.validation import short_repr
 
 MIN_CYCLE_LENGTH = 40.0
-"""Length from which the lap around a hole makes it a cycle, metres: twice the path length that a closure requires, so
-that pillars and tables are no cycles."""
+"""Least length of the lap around a cycle, metres: twice the path length that a closure requires, so that pillars and
+tables are not cycles."""
 
 NOOK_AREA = 1.0
-"""Area of nooks and sharp corners that the robot need not cover, because the laser sees them, square metres."""
+"""Greatest area of a nook or corner that the robot need not cover, because the laser sees it, square metres."""
 
 LOST_SHARE_MAX = 0.02
-"""Share of the free space that may lie in larger places out of the robot's reach: nearly all must be seen."""
+"""Greatest share of the free space that may lie in larger places that the robot can't cover."""
 
 RESOLUTION = 1e-6
-"""Points closer together than this are one, metres: far finer than any survey, far coarser than rounding."""
+"""Points closer together than this count as one, metres: far finer than any survey, far coarser than rounding."""
 
 COORDINATE_MAX = 1e5
 """Greatest coordinate, metres: at 100 km a float64 still resolves far less than a nanometre."""
 
 SMALLER_ROBOT = "give a smaller robot, such as robot={'radius': 0.2}"
-"""The cure that errors name where the robot is too large."""
+"""The remedy that errors name if the robot is too large."""
 
 Pose = tuple[float, float, float]
 
@@ -51,15 +51,15 @@ class FloorPlan:
     name : str
         Short name, unique in a pool of plans.
     free_space : shapely Polygon
-        Where a point robot may be. Must be valid; is oriented such that free space lies to the left of every wall.
+        Where a point robot may be. It must be valid; it is oriented with free space to the left of every wall.
     start : (x, y, heading)
         Default start pose, metres and radians.
     title, source, licence : str
-        For people: what the building is, where the plan comes from, and what may be done with it.
+        Texts for people: what the building is, where the plan comes from, and what may be done with it.
     centrelines : sequence of sequences of (x, y)
         Centrelines of the corridors, if known, as polylines that meet or cross where corridors do.
     file : str
-        The file that the plan was read from, if any; named in messages.
+        The file that the plan was read from, if any, for error messages.
     traced : bool
         Whether the file is a map, which is traced again for a robot of another radius.
     robot_radius, leave_radius : float
@@ -88,10 +88,10 @@ class FloorPlan:
         if isinstance(polygon, Polygon):
             if not (np.abs(shapely.get_coordinates(polygon)) <= COORDINATE_MAX).all():
                 raise FloorPlanError(
-                    f"{self._label}: the free space has coordinates that are not from {-COORDINATE_MAX:g} to "
+                    f"{self._label}: the free space has coordinates beyond {-COORDINATE_MAX:g} to "
                     f"{COORDINATE_MAX:g}; move the building to the origin, and give metres."
                 )
-            # A repeated point would be a wall without a direction, and a height a third column.
+            # Repeated points would make walls without a direction, and heights a third column.
             polygon = shapely.remove_repeated_points(shapely.force_2d(polygon), RESOLUTION)
         if not isinstance(polygon, Polygon) or polygon.is_empty:
             raise FloorPlanError(f"{self._label}: the free space must be one polygon that is not empty.")
@@ -105,7 +105,7 @@ class FloorPlan:
             x, y, heading = (float(value) for value in self.start)
         except (TypeError, ValueError, OverflowError):
             x = y = heading = math.nan
-        if not all(abs(value) <= COORDINATE_MAX for value in (x, y, heading)):  # nor NaN
+        if not all(abs(value) <= COORDINATE_MAX for value in (x, y, heading)):  # false for NaN
             raise FloorPlanError(
                 f"{self._label}: start must be finite (x, y, heading), from {-COORDINATE_MAX:g} to "
                 f"{COORDINATE_MAX:g}, got {short_repr(self.start)}."
@@ -152,7 +152,7 @@ class FloorPlan:
 
     @property
     def cycles_total(self) -> int:
-        """Number of independent cycles that there are to close."""
+        """Number of independent cycles to close."""
         return len(self.cycles)
 
     @property
@@ -172,7 +172,7 @@ class FloorPlan:
         return space
 
     def reachable(self, radius: float, position: Sequence[float] | None = None) -> Polygon:
-        """Return where the centre of a round robot of that radius can get from `position` (default: the start).
+        """Return the area that the centre of a round robot can reach from `position` (default: the start).
 
         Raises
         ------
@@ -213,7 +213,7 @@ class FloorPlan:
         return [part for part in shapely.get_parts(self.free_space.difference(swept)) if part.area > NOOK_AREA]
 
     def _check_passable(self, home: Polygon, radius: float) -> None:
-        """Raise unless a robot whose centre stays in `home` comes nearly everywhere."""
+        """Raise unless a robot whose centre stays in `home` covers nearly all of the building."""
         lost = self.unreached(home, radius)
         if sum(part.area for part in lost) > LOST_SHARE_MAX * self.free_area:
             worst = max(lost, key=lambda part: part.area)

@@ -37,7 +37,7 @@ def read_floor_plan(path: str | Path, robot_radius: float = RobotConfig().radius
     ----------
     path : path
     robot_radius : float
-        Radius of the robot that a map is traced for, metres; otherwise with the defaults of `trace_floor_plan`.
+        Radius of the robot that a map is traced for, metres; `trace_floor_plan`'s other defaults apply.
 
     Raises
     ------
@@ -90,7 +90,7 @@ def write_floor_plan(plan: FloorPlan, path: str | Path) -> None:
 
 
 def floor_plan_to_text(plan: FloorPlan, *, digits: int | None = None) -> str:
-    """Return a floor plan as YAML rings, rounded to `digits` decimals; with None, exactly."""
+    """Return a floor plan as YAML rings, rounded to `digits` decimals, or exact with None."""
     rings = plan.rings if digits is None else [np.round(ring, digits) for ring in plan.rings]
     exterior, *holes = (ring.tolist() for ring in rings)
     texts = {key: str(getattr(plan, key)) for key in ("name", "title", "source", "licence")}

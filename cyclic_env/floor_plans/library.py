@@ -87,7 +87,7 @@ def _shipped(name: str) -> FloorPlan:
 
 @lru_cache(maxsize=1024)
 def plan_for_robot(plan: FloorPlan, robot_radius: float, leave_radius: float) -> FloorPlan:
-    """Return a floor plan with the cycles that a robot can close; a map that was read is traced again for it.
+    """Return a plan with the cycles that a robot can close; a plan read from a map is traced again for the robot.
 
     Parameters
     ----------
@@ -114,8 +114,8 @@ def load_floor_plan(map_name: MapName, robot_radius: float = RobotConfig().radiu
     Raises
     ------
     FloorPlanError
-        If the name is unknown (the message names the nearest), the file is missing or malformed, or there can be no
-        such building.
+        If the name is unknown (the message names the nearest), the file is missing or malformed, or the building is
+        impossible.
     """
     if isinstance(map_name, FloorPlan):
         return map_name
@@ -136,7 +136,7 @@ def load_floor_plan(map_name: MapName, robot_radius: float = RobotConfig().radiu
         raise FloorPlanError(
             f"there is no floor plan file {text!r}; give a path that exists or one of: {', '.join(names)}."
         )
-    raise FloorPlanError(f"{unknown_name('map', text, names)} Or a file, or a building such as generated:seed=7.")
+    raise FloorPlanError(f"{unknown_name('map', text, names)} Or name a file, or a building such as generated:seed=7.")
 
 
 def load_floor_plans(

@@ -12,14 +12,14 @@ from shapely.geometry import LineString, MultiLineString
 
 
 def closed_tour(lines: Sequence[LineString], resolution: float = 1e-6) -> float:
-    """Return the length of the shortest closed tour that drives all of some lines at least once, metres.
+    """Return the length of the shortest closed tour that drives every line at least once, metres.
 
     Parameters
     ----------
     lines : sequence of LineString
-        Metres. They meet where they touch or cross; where several of them coincide, they are one corridor.
+        Metres. They meet where they touch or cross; lines that coincide are one corridor.
     resolution : float
-        Points closer together than this are one, metres.
+        Points closer together than this count as one, metres.
 
     Returns
     -------
@@ -48,8 +48,8 @@ def corridor_graph(lines: Sequence[LineString], resolution: float) -> nx.MultiGr
 def repeated_length(graph: nx.MultiGraph) -> float:
     """Return the length of the edges of a connected graph that a shortest closed tour drives a second time.
 
-    Those are shortest paths between pairs of nodes where an odd number of edges meets, paired so that they are shortest
-    in all: J. Edmonds and E. L. Johnson, "Matching, Euler tours and the Chinese postman", Mathematical Programming 5
+    Those are shortest paths between pairs of nodes where an odd number of edges meets, paired so that their total is
+    least: J. Edmonds and E. L. Johnson, "Matching, Euler tours and the Chinese postman", Mathematical Programming 5
     (1973).
     """
     odd = [node for node, degree in graph.degree() if degree % 2]
@@ -63,8 +63,8 @@ def repeated_length(graph: nx.MultiGraph) -> float:
 def joins(lines: Sequence[LineString], walls: shapely.Geometry) -> list[LineString]:
     """Return the short lines that join the end of a line to another line, or to its own other end, that it just misses.
 
-    It just misses what is no further away than half the width of either corridor, measured as the distance to the
-    nearest wall, so that there is no wall in between. An end that meets another line needs no join.
+    A join is at most half as long as either corridor is wide, measured as the distance to the nearest wall, so that
+    there is no wall in between. An end that meets another line needs no join.
     """
     found = []
     for i, line in enumerate(lines):

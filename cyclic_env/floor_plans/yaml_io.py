@@ -18,7 +18,7 @@ from cyclic_env.validation import short_repr
 class _Loader(yaml.SafeLoader):
     """The safe loader, with an error for a key that is given twice.
 
-    It is not the loader in C, which crashes the interpreter on a file that is nested too deeply.
+    The loader in C would crash the interpreter on a file that is nested too deeply.
     """
 
     def construct_mapping(self, node: yaml.Node, deep: bool = False) -> dict[Any, Any]:
@@ -35,7 +35,7 @@ class _Dumper(yaml.SafeDumper):
     """The safe dumper, with quotes around text that `_Loader` would read as a number."""
 
 
-for _kind in (_Loader, _Dumper):  # YAML 1.1 takes 5e-2 for text, because it has no point
+for _kind in (_Loader, _Dumper):  # YAML 1.1 reads 5e-2, which has no point, as text
     _kind.add_implicit_resolver(
         "tag:yaml.org,2002:float", re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+\Z"), list("-+0123456789")
     )
@@ -87,7 +87,7 @@ def dump_yaml(data: Any, *, allow_unicode: bool = False) -> str:
 
 
 def name_of(path: Path) -> str:
-    """Return the name of a file without its suffix, as text that can be written and drawn whatever bytes it has."""
+    """Return the name of a file without its suffix; bytes that are not valid text are replaced."""
     return os.fsencode(path.stem).decode(errors="replace")
 
 
@@ -100,7 +100,7 @@ def as_list(value: Any, key: str) -> Sequence[Any]:
 
 def as_number(value: Any, key: str) -> float:
     """Return the value of a key that must be a finite number."""
-    # The comparison is false for NaN and, unlike math.isfinite, takes integers of any length.
+    # The comparison is false for NaN and, unlike math.isfinite, accepts integers of any size.
     if isinstance(value, bool) or not isinstance(value, int | float) or not abs(value) <= COORDINATE_MAX:
         raise FloorPlanError(
             f"{key}: expected a number from {-COORDINATE_MAX:g} to {COORDINATE_MAX:g}, got {short_repr(value)}."

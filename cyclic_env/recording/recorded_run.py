@@ -10,7 +10,7 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from cyclic_env.config import ActionType, ClosureConfig, EnvConfig, RobotConfig, from_mapping
+from cyclic_env.config import ActionType, ClosureConfig, EnvConfig, RobotConfig
 from cyclic_env.engine.actions import check_actions, decode_actions
 from cyclic_env.engine.building import INFO
 from cyclic_env.envs.spaces import action_space, observation_space
@@ -32,6 +32,7 @@ from cyclic_env.task.loop_closure import (
 from cyclic_env.task.path_history import building_view, robot_view
 from cyclic_env.task.rewards import REWARD_TERMS, reward_weights
 from cyclic_env.trajectory.poses import compose
+from cyclic_env.validation import from_mapping
 
 SIGHT_GIVEN = 1.0
 """Metres within which two positions are in sight by default: a reference doesn't fit a floor plan exactly."""
@@ -42,7 +43,7 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
 
     The wheels' part of an action is ignored: each step leads to the log's next scan. The observations have the form of
     `CyclicLoopEnv`: ``laser``, in which beams without a hit read the laser's maximum; ``distance``, the signed distance
-    driven according to the odometry; and ``compass``, the odometry's heading, which drifts. No sensor tells of sideways
+    driven according to the odometry; and ``compass``, the odometry's heading, which drifts. No sensor measures sideways
     motion.
 
     The log's reference poses are the truth by which claims are judged, as `cyclic_env.task.loop_closure` defines it.
@@ -91,7 +92,7 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         self.log = log = log if isinstance(log, RobotLog) else read_robot_log(log)
         self.floor_plan = load_floor_plan(log.map_name) if plan is None and log.map_name is not None else plan
         if log.reference is None:
-            raise RecordingError(f"the log {log.name!r} has no reference poses, by which claims are judged.")
+            raise RecordingError(f"the log {log.name!r} has no reference poses; they are needed to judge claims.")
         if self.floor_plan is not None and log.map_transform is None:
             raise RecordingError(f"the log {log.name!r} has no map_transform, which places it on the floor plan.")
         self.step_budget = len(log) - 1

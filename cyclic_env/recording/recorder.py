@@ -22,20 +22,20 @@ from cyclic_env.trajectory.dead_reckoning import dead_reckon
 from cyclic_env.validation import short_repr
 
 ALTERING = (gymnasium.ActionWrapper, gymnasium.ObservationWrapper, gymnasium.RewardWrapper)
-"""Wrappers below the recorder that would make the environment see other actions, or the recorder other results."""
+"""Wrappers that must not be inside the recorder, since they would alter what it records."""
 
 
 class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Records the episodes of an environment. It writes each one when it ends, when the next begins, or on `close`.
 
-    Use it in a ``with`` statement, so that an interrupted run keeps what was done.
+    Use it in a ``with`` statement, so that the file of an interrupted run is written, too.
 
     Parameters
     ----------
     env : CyclicLoopEnv
-        Or what `gymnasium.make` returns. Wrappers that alter actions, observations or rewards go around the recorder.
+        It may be wrapped, but wrappers that alter actions, observations or rewards must go around the recorder.
     path : str or path, optional
-        File of the first episode; the second one's name gets ``-2`` before the suffix, and so on. None: nothing is
+        File of the first episode; the second one gets ``-2`` before the suffix, and so on. With None, nothing is
         written unless you call `write_recording`.
     laser : bool
         Whether to keep the scans, which makes the files about ten times larger. A replay measures them again.
@@ -118,7 +118,7 @@ class Recorder(gymnasium.Wrapper[Any, Any, Any, Any]):
             raise UsageError("there is no episode to record yet: call reset() of the Recorder first.")
 
     def recording(self, tracks: Mapping[str, Any] | None = None) -> Recording:
-        """Return the episode so far, which is running or has just ended.
+        """Return the episode so far, running or ended.
 
         Parameters
         ----------

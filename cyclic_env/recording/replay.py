@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ class Replay:
     ----------
     recording : Recording
     steps : int
-        Number of steps that were replayed: all, unless the episode ended earlier than the recorded one.
+        Number of replayed steps: all, unless the replayed episode ended earlier.
     first_difference : int or None
         The first step in which a bit differed; step 0 is the reset.
     what : str
@@ -40,7 +41,7 @@ class Replay:
     info : dict
         The last info.
     notes : tuple of str
-        Versions and plans that differ from the recorded ones.
+        One line for each version and plan that differs from the recorded one.
     """
 
     recording: Recording
@@ -79,44 +80,45 @@ def replay(
     ----------
     recording : Recording, str or path
     render_mode : {"human", "rgb_array"}, optional
-        Of the environment.
-    on_step : callable, optional
+        Render mode of the environment.
+    on_step : OnStep, optional
 
     Raises
     ------
     RecordingError
         If the file can't be read or its environment can't be rebuilt.
     """
-    if not isinstance(recording, Recording):
-        path = recording
-        recording = read_recording(path)
-        try:
-            return replay(recording, render_mode=render_mode, on_step=on_step)
-        except RecordingError as error:
-            raise RecordingError(f"{path}: {error}") from error
-    env = recording.make_env(render_mode)
+    if isinstance(recording, Recording):
+        with closing(recording.make_env(render_mode)) as env:
+            return _repeat(recording, env, on_step)
+    path, recording = recording, read_recording(recording)
     try:
-        try:
-            observation, info = env.reset(options=recording.options or None)
-        except FloorPlanError as error:
-            raise RecordingError(f"its episode can't begin: {error}") from error
-        first_difference, what = None, ""
-        step, reward, ended, position_error_m, episode_return = 0, 0.0, (False, False), 0.0, 0.0
-        while True:
-            error_m = np.hypot(info["x"] - recording.poses[step, 0], info["y"] - recording.poses[step, 1])
-            position_error_m = max(position_error_m, float(error_m))
-            differing = _difference(recording, step, env, (observation, reward, ended, info))
-            if differing and first_difference is None:
-                first_difference, what = step, differing
-            if on_step is not None:
-                on_step(env, step)
-            if step == recording.steps or any(ended):
-                break
-            observation, reward, *ended, info = env.step(recording.actions[step])
-            episode_return += reward
-            step += 1
-    finally:
-        env.close()
+        return replay(recording, render_mode=render_mode, on_step=on_step)
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {error}") from error
+
+
+def _repeat(recording: Recording, env: CyclicLoopEnv, on_step: OnStep | None) -> Replay:
+    """Repeat the actions of a recording in its rebuilt environment, and compare the results."""
+    try:
+        observation, info = env.reset(options=recording.options or None)
+    except FloorPlanError as error:
+        raise RecordingError(f"its episode can't begin: {error}") from error
+    first_difference, what = None, ""
+    step, reward, ended, position_error_m, episode_return = 0, 0.0, (False, False), 0.0, 0.0
+    while True:
+        error_m = np.hypot(info["x"] - recording.poses[step, 0], info["y"] - recording.poses[step, 1])
+        position_error_m = max(position_error_m, float(error_m))
+        differing = _difference(recording, step, env, (observation, reward, ended, info))
+        if differing and first_difference is None:
+            first_difference, what = step, differing
+        if on_step is not None:
+            on_step(env, step)
+        if step == recording.steps or any(ended):
+            break
+        observation, reward, *ended, info = env.step(recording.actions[step])
+        episode_return += reward
+        step += 1
     return Replay(
         recording=recording,
         steps=step,
@@ -130,7 +132,7 @@ def replay(
 
 
 def _difference(recording: Recording, step: int, env: CyclicLoopEnv, result: tuple[Any, ...]) -> str:
-    """Say what of a step's result differs from the recording first; an empty string if nothing does."""
+    """Name the first part of a step's result that differs from the recording; an empty string if none does."""
     observation, reward, (terminated, truncated), info = result
     kept = {name: getattr(recording, name) for name in ("distance", "compass", "laser")}
     last = step == recording.steps
@@ -154,7 +156,7 @@ def _difference(recording: Recording, step: int, env: CyclicLoopEnv, result: tup
 
 
 def _notes(recording: Recording) -> tuple[str, ...]:
-    """Say which versions and plans are not the recorded ones."""
+    """Return a line for each version and plan that differs from the recorded one."""
     here = versions()
     made = {name: recording.versions.get(name, "an unknown version") for name in here}
     rules_here, rules_made = here.pop("closure_rules"), recording.versions.get("closure_rules", FIRST_RULES)

@@ -13,9 +13,10 @@ from typing import Any
 import numpy as np
 
 from cyclic_env.atomic_write import atomic_write
-from cyclic_env.config import LaserConfig, from_mapping
+from cyclic_env.config import LaserConfig
 from cyclic_env.errors import ConfigError, RecordingError
 from cyclic_env.trajectory.poses import relative, wrap_angle
+from cyclic_env.validation import from_mapping
 
 LAYOUT = 1
 """Version of the file's layout. Files with another layout are refused."""
@@ -90,9 +91,9 @@ class RobotLog:
         return np.append(0.0, np.cumsum(step[:, 0] * np.cos(half_turn) + step[:, 1] * np.sin(half_turn)))
 
     def thinned(self, spacing: float, turn: float = math.inf) -> RobotLog:
-        """Return the log with only the scans that are `spacing` metres of path, or `turn` radians, after the last kept.
+        """Return the log without scans closer than `spacing` metres of path and `turn` radians to the last one kept.
 
-        Odometry decides. The first and the last scan are kept.
+        Both are measured by the odometry. The first and the last scan are kept.
         """
         step = relative(self.odometry[:-1], self.odometry[1:])
         driven = np.append(0.0, np.cumsum(np.hypot(step[:, 0], step[:, 1])))
@@ -104,7 +105,7 @@ class RobotLog:
         return self[np.array([*kept, last])]
 
     def __getitem__(self, rows: Any) -> RobotLog:
-        """Return the log with some of its scans only; `rows` is a slice or an array of indices."""
+        """Return the log of some of its scans; `rows` is a slice or an array of indices."""
         fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
         for name in ("times", "ranges", "odometry", "reference"):
             fields[name] = None if fields[name] is None else fields[name][rows]
@@ -114,7 +115,7 @@ class RobotLog:
 def laser_of_beams(
     ranges: np.ndarray, first_bearing: float, spacing: float, range_max: float
 ) -> tuple[np.ndarray, LaserConfig]:
-    """Return the laser of evenly spaced beams, and its ranges: valid ones are kept, others become `NO_HIT`.
+    """Return ranges whose invalid readings are `NO_HIT`, and the laser with these evenly spaced beams.
 
     Parameters
     ----------
@@ -123,7 +124,7 @@ def laser_of_beams(
     first_bearing, spacing : float
         Bearing of beam 0 in the robot's frame, and the angle from each beam to the next (clockwise: negative), radians.
     range_max : float
-        Readings from this range on, in metres, are no hits.
+        Readings of this range, in metres, or more count as no hit.
 
     Raises
     ------

@@ -42,7 +42,7 @@ PATH_SPACING = 0.2
 
 
 def check_figure(path: FilePath) -> None:
-    """Check, before the work, that the suffix of a figure's file is a known format.
+    """Check that the suffix of a figure's file is a known format.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, 
         spine.set_edgecolor(rgb(FAINT))
         spine.set_linewidth(0.5)
     _draw_building(axes, plan, linewidth=0.7)
-    above = {"color": rgb(INK), "va": "center", "parse_math": False}  # a dollar sign stays one
+    above = {"color": rgb(INK), "va": "center", "parse_math": False}  # so that a dollar sign is just a character
     figure.text(LEFT / WIDTH, 1 - 0.2 / total, title, fontsize=11, fontweight="bold", **above)
     figure.text(LEFT / WIDTH, 1 - 0.42 / total, scores, fontsize=8.5, **above)
     return figure, axes
@@ -135,13 +135,13 @@ def draw_path(axes: Axes, trajectory: np.ndarray, *, by_time: bool = True) -> No
     axes.add_collection(lines)
     axes.plot([], [], color=rgb(PATH_NEW), linewidth=1.5, label="path (darker: later)" if by_time else "path")
     start = {"marker": "D", "markersize": 6, "markeredgecolor": rgb(FLOOR), "markeredgewidth": 0.8}
-    end = {"marker": "s", "markersize": 12, "fillstyle": "none", "markeredgewidth": 1.2}  # around any other mark
+    end = {"marker": "s", "markersize": 12, "fillstyle": "none", "markeredgewidth": 1.2}  # frames any other mark
     for position, style, label in ((points[0], start, "start"), (points[-1], end, "end")):
         axes.plot(*position, linestyle="", color=rgb(INK), label=label, zorder=7, **style)
 
 
 def draw_claims(axes: Axes, trajectory: np.ndarray, claims: np.ndarray) -> None:
-    """Draw judged claims where they were made, with lines to the positions that they named.
+    """Draw judged claims where they were made, with lines to the positions that they name.
 
     Correct claims are green; those that closed a cycle are larger and numbered. False claims are red crosses.
 
@@ -214,6 +214,6 @@ def _draw_building(axes: Axes, plan: FloorPlan, linewidth: float) -> None:
 
 
 def rgb(color: Color) -> tuple[float, float, float]:
-    """Return a color as Matplotlib has it."""
+    """Return a color in Matplotlib's form, with channels from 0 to 1."""
     red, green, blue = color
     return red / 255, green / 255, blue / 255

@@ -1,4 +1,4 @@
-"""Animations of a run as small GIF files that keep every mark of the pictures."""
+"""Animations of runs as small GIF files, which show every mark of the pictures."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ except ImportError as error:
     raise ConfigError('animations need pillow, which is missing; pip install "cyclic-loop[plot]".') from error
 
 FRAMES_MAX = 250
-"""Number of frames of an episode that uses up its step budget; one that ends earlier has fewer."""
+"""Number of frames of an episode that uses its whole step budget; a shorter one has fewer."""
 FRAME_WIDTH = 720
 """Width of a frame, pixels."""
 FRAME_COLORS = (FLOOR, INK, FAINT, SOLID, WALL, SEEN, PATH_OLD, PATH_NEW, AMBER, BEAM, RIGHT, WRONG)
@@ -61,7 +61,7 @@ class GifWriter:
         self._taken = -1
 
     def take(self, step: int, *, last: bool = False) -> None:
-        """Add the picture of a step, if it is one of those to be shown or the last."""
+        """Add the picture of a step if it is due or the `last`."""
         budget = self._env.engine.step_budget(0)
         if step == self._taken or (step % math.ceil(budget / FRAMES_MAX) and not last):
             return

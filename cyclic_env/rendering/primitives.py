@@ -1,6 +1,6 @@
 """Drawing primitives: the view, marks, lines and text.
 
-Other modules take pygame from here, which gives one clear error where it is missing. Nothing here needs a display.
+Other modules import pygame from here, so that one clear error says if it is missing. Nothing here needs a display.
 World coordinates become pixels in one place, `View.pixels`, where row 0 becomes the north end.
 """
 
@@ -79,7 +79,7 @@ def draw_scale_bar(picture: pygame.Surface, x: float, y: float, scale: float, me
 
 
 def _smooth(side: int, paint: Callable[[pygame.Surface, float], None]) -> pygame.Surface:
-    """Return a mark of `side` pixels; `paint` gets the enlarged surface and its pixels per unit, for -1 to 1 across."""
+    """Return a smooth mark of `side` pixels; `paint` draws it enlarged, from -1 to 1, given the pixels per unit."""
     large = transparent_surface((side * SPRITE_ZOOM, side * SPRITE_ZOOM))
     large.fill((*FLOOR, 0))
     paint(large, side * SPRITE_ZOOM / 2)

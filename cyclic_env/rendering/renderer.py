@@ -1,7 +1,7 @@
 """The picture of a robot: the building, what has been seen, its path, beams, claims and scores.
 
 Pictures are drawn off screen and need no display. A picture depends on nothing but the state of the episode: it is the
-same whether or not earlier ones were drawn. What never changes about a building is in its `Scene`.
+same whether or not earlier ones were drawn. The fixed parts of a building's picture are in its `Scene`.
 """
 
 from __future__ import annotations
@@ -238,7 +238,7 @@ def _draw_beams(picture: pygame.Surface, view: View, snapshot: RobotSnapshot, zo
 
 def _draw_claims(picture: pygame.Surface, view: View, snapshot: RobotSnapshot, zoom: int) -> None:
     """Draw each judged claim: a mark where it was made, and a line to the position that it named."""
-    # False ones last: they are fewer and must not be hidden.
+    # False claims come last: they are fewer and must not be hidden.
     claims = snapshot.claims[np.argsort(~snapshot.claims["correct"], kind="stable")]
     made = view.pixels(snapshot.track[claims["step"], :2])
     named = view.pixels(snapshot.track[np.maximum(claims["match"], 0), :2])
@@ -259,7 +259,7 @@ def _draw_inset(picture: pygame.Surface, scene: Scene, inset: pygame.Rect, snaps
     side = inset.width * INSET_ZOOM
     view = View(x - INSET_REACH, y + INSET_REACH, side / (2 * INSET_REACH))
     close_up = opaque_surface((side, side))
-    reach = INSET_REACH + 1  # so that the cut edges stay outside
+    reach = INSET_REACH + 1  # keeps the cut edges outside the close-up
     window = (x - reach, y - reach, x + reach, y + reach)
     free, walled = (shapely.clip_by_rect(geometry, *window) for geometry in (scene.free, scene.walled))
     _draw_layers(close_up, view, draw_building((side, side), view, free, walled), snapshot, INSET_ZOOM)

@@ -1,4 +1,4 @@
-"""The scene: everything about a building's picture that never changes, made once and shared by all renderers.
+"""The scene: the fixed parts of a building's picture, made once and shared by all renderers.
 
 It holds the positions of the building and of the robot's close-up, the walls, the title and the legend.
 """
@@ -58,18 +58,18 @@ INSET_WALL = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Everything that never changes about a building's picture of a given size.
+    """The fixed parts of a building's picture of a given size.
 
     Attributes
     ----------
     size : (width, height)
     view : View
     inset : Rect or None
-        Where the close-up of the robot is; None where the building is drawn large enough without.
+        Where the close-up of the robot is; None if the building is drawn large enough.
     overlay : Surface
         What is drawn over the tint of the seen cells: walls and everything behind them. Free space is transparent.
     free, walled : shapely geometry
-        The free space alone, and with the walls as thick as the close-up shows them.
+        The free space, and the free space with the close-up's walls.
     """
 
     size: tuple[int, int]
@@ -152,7 +152,7 @@ def _fit(plan: FloorPlan, room: pygame.Rect, *, snug: bool) -> View:
 
 
 def _free_inset(plan: FloorPlan, view: View, room: pygame.Rect) -> pygame.Rect | None:
-    """Return where the close-up covers no free space, as near as possible to a corner of the building, or None."""
+    """Return where the close-up covers no free space, as near to a corner of the building as possible, if anywhere."""
     west, south, east, north = plan.bounds
     left, top = view.pixels((west, north))
     right, bottom = view.pixels((east, south))
@@ -180,7 +180,7 @@ def draw_building(
     """Return the walls and everything behind them, with transparent free space; `walled` is free space plus walls."""
     surface = transparent_surface(size)
     surface.fill(SOLID)
-    # Transparent pixels have the walls' color, so that smoothed edges mix in no other.
+    # Transparent pixels have the walls' color, so that smoothed edges contain no other color.
     layers = [(walled, "exterior", WALL), (free, "exterior", (*WALL, 0)), (free, "interiors", WALL)]
     for geometry, rings, color in [*layers, (walled, "interiors", SOLID)]:
         for polygon in shapely.get_parts(geometry):
@@ -191,7 +191,7 @@ def draw_building(
 
 
 def _draw_title(overlay: pygame.Surface, plan: FloorPlan) -> None:
-    """Draw the plan's title. Text after a colon in it is a remark."""
+    """Draw the plan's title; what follows a colon in it is drawn as a remark."""
     name, _, remark = (plan.title or plan.name).partition(": ")
     end = overlay.get_width() - MARGIN
     x = write(overlay, shorten(name, TITLE_SIZE, end - MARGIN), TITLE_SIZE, INK, MARGIN, TITLE_LINE) + 10

@@ -1,4 +1,4 @@
-"""What a picture shows of a robot: copies of its state."""
+"""A copy of the part of a robot's state that pictures show."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class RobotSnapshot:
-    """Copies of what is drawn of a robot.
+    """A copy of the part of a robot's state that pictures show.
 
     Attributes
     ----------

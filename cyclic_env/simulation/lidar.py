@@ -5,8 +5,8 @@ covers an interval of beams, and each of these beams keeps the largest inverse r
 the inverse range is linear in the beam's direction, which takes two multiplications and a subtraction for a beam, and
 no beam has to search for its wall.
 
-A beam that comes within `TOUCH` of a wall's end hits that end. So a beam that grazes a corner stops at it,
-and none can slip through a joint of two walls, whatever the rounding.
+A beam that comes within `TOUCH` of a wall's end hits that end. A beam that grazes a corner therefore stops
+there, and no rounding lets a beam through the joint of two walls.
 
 `scan` is the plain NumPy twin: all beams against all walls. It is the specification.
 """
@@ -26,7 +26,7 @@ TOUCH = 1e-9
 """Metres. Far above rounding (1e-13 m in a building of 1 km), far below anything that matters."""
 
 ANGLE_ERROR = 1e-4
-"""Radians. Bound on the error of `_angle`; exact tests decide about the beams that near an interval's end."""
+"""Radians. Bound on the error of `_angle`; beams this near to an interval's end are tested exactly."""
 
 
 class Beams(NamedTuple):
@@ -35,11 +35,11 @@ class Beams(NamedTuple):
     Attributes
     ----------
     directions : (2, 2 * num_beams) float64
-        Their unit vectors in the robot's frame, rows x and y; each beam is there twice, the second time a turn later.
+        Their unit vectors in the robot's frame, rows x and y; all beams are listed twice, for two turns.
     first_bearing : float
         Bearing of beam 0, radians.
     per_radian, per_turn : float
-        Number of beams, were they all around.
+        Number of beams in a radian and in a turn, if they were all around.
     range_max : float
         The laser's reach, metres.
     sees_all_around : bool
@@ -69,7 +69,7 @@ def laser_beams(laser: LaserConfig) -> Beams:
 
 
 def scan(walls: np.ndarray, pose: np.ndarray, laser: LaserConfig) -> np.ndarray:
-    """Return the ranges `(num_beams,)` in metres from `pose`, clipped to the laser's reach: the plain twin.
+    """Return the ranges `(num_beams,)` in metres from `pose`, clipped to the laser's reach (the plain twin).
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def _angle(x: float, y: float) -> float:
 
 @inlined
 def _beam_at(x, y, beams):
-    """Return which beam points at (x, y), from 0 to the number of them in a turn; a fraction is between two."""
+    """Return the index of the beam that points at (x, y), from 0 to `per_turn`, with a fraction between two beams."""
     angle = _angle(x, y) - beams.first_bearing
     if not beams.sees_all_around or beams.first_bearing != 0.0:
         angle -= 2 * math.pi * math.floor(angle / (2 * math.pi))
@@ -168,7 +168,7 @@ def scan_row(walls, plan, pose, beams, inverse, ranges):
     inverse : (2 * num_beams,) float64
         Scratch space.
     ranges : (num_beams,) float64
-        Written to, metres.
+        Output, metres.
     """
     x, y, heading = pose
     num_beams, range_max = ranges.shape[0], beams.range_max

@@ -3,17 +3,16 @@
 Robots of one floor plan share a pymunk Space; they pass through each other and collide with walls only. A Space holds
 at most `WORLD_SIZE_MAX` of them, since every pair of robots at the same spot costs pymunk time. Compiled code calls
 pymunk's C library directly, and reads and writes all bodies of a Space at once, as `pymunk.batch` does. Either may
-change in any release of pymunk: therefore pymunk is pinned tightly, and used in this module only.
+change in any release of pymunk, which is therefore pinned tightly and used in this module only.
 
 Wheels act as a force and a torque before each substep, so that the contact solver has the last word.
-A body that is moved back in its Space keeps the contacts of its last episode, which would make resets nondeterministic:
-therefore a robot that is placed anew gets a new body and a new shape.
+A body moved within its Space would keep the contacts of its last episode and make resets nondeterministic, so a robot
+that is placed gets a new body and a new shape.
 """
 
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
@@ -24,16 +23,16 @@ from pymunk.batch import BodyFields, Buffer, get_space_bodies
 
 from cyclic_env.config import RobotConfig
 from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.jit import call_c, compiled
+from cyclic_env.jit import call_c, compiled, num_cores
 
 WORLD_SIZE_MIN, WORLD_SIZE_MAX = 16, 32
-"""Robots in one Space, from measurements: fewer of them take more calls, more of them more pairs at the same start."""
+"""Robots in one Space, by measurement: fewer need more calls, and more form more pairs at the same start."""
 
 COLLISION_SLOP = 0.001
 """Metres of overlap that the contact solver leaves, so that a contact at rest does not flicker."""
 
 WORLDS_KEPT = 64
-"""Number of Spaces without robots that are kept for later: making one takes as long as thousands of steps."""
+"""Number of empty Spaces that are kept for reuse, since making one takes as long as thousands of steps."""
 
 PUSH = 1e-6
 """m/s. A robot is in contact when a wall changed the velocity that its wheels gave it by more than this."""
@@ -43,7 +42,7 @@ READ = BodyFields.POSITION | BodyFields.ANGLE | BodyFields.VELOCITY | BodyFields
 WRITE = BodyFields.FORCE | BodyFields.TORQUE
 READ_WIDTH, WRITE_WIDTH = 6, 3
 SLACK = 64
-"""Spare floats at the end of a batch buffer: pymunk would reallocate it, which it must not, before it is quite full."""
+"""Spare floats at the end of a batch buffer, since pymunk would reallocate a buffer that is almost full."""
 
 DRIVE = np.dtype(
     [
@@ -63,11 +62,6 @@ DRIVE = np.dtype(
     ]
 )
 """State of a robot's drive, kept from one substep to the next."""
-
-
-def num_cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Dynamics(NamedTuple):
@@ -104,7 +98,7 @@ class Bodies(NamedTuple):
 
 @compiled
 def command_substep(bodies, drive, commands, first, dynamics):
-    """Take over what the last substep did to the bodies, unless it is the first, and set the forces of the next one.
+    """Record what the last substep did to the bodies, unless this is the `first`, and set the forces of the next one.
 
     The forces give each body the velocity of its wheels by the end of the substep. pymunk first moves a body
     by its old velocity, and then computes contacts and the new velocity: so the new velocity has to point along the
@@ -119,7 +113,7 @@ def command_substep(bodies, drive, commands, first, dynamics):
     commands : (N, 2) float64
         Commanded speeds of the left and the right wheel, m/s.
     first : bool
-        Whether a control step begins, so that travel and contact start anew.
+        Whether a control step begins, which resets travel and contact.
     dynamics : Dynamics
     """
     states, forces, dt = bodies.states, bodies.forces, dynamics.dt
@@ -147,7 +141,7 @@ def command_substep(bodies, drive, commands, first, dynamics):
 
 @compiled
 def observe_body(state, robot):
-    """Take over what a substep did to one body: position, travel along the heading, contact."""
+    """Record what a substep did to one body: position, travel along the heading, contact."""
     robot.travel += (state[0] - robot.x) * robot.along_x + (state[1] - robot.y) * robot.along_y
     robot.x, robot.y, robot.angle = state[0], state[1], state[2]
     if abs(state[3] - robot.target_vx) > PUSH or abs(state[4] - robot.target_vy) > PUSH:
@@ -155,7 +149,7 @@ def observe_body(state, robot):
 
 
 class SpaceCalls(NamedTuple):
-    """Addresses of one Space, of the functions of pymunk's library, and of the batches that these read and write."""
+    """Addresses of one Space, of functions of pymunk's library, and of the batches that they fill and read."""
 
     space: int
     step: int
@@ -180,7 +174,7 @@ def drive_bodies(calls, bodies, drive, commands, dynamics):
         command_substep(bodies, drive, commands, substep == 0, dynamics)
         bodies.counts[1] = 0
         call_c(calls.each_body, (calls.space, calls.write, calls.write_batch))
-        call_c(calls.step, (calls.space, dynamics.dt))  # without the Python callbacks that Space.step would look for
+        call_c(calls.step, (calls.space, dynamics.dt))  # skips the Python callbacks of Space.step
         read_bodies(calls, bodies)
     for i in range(bodies.rows.shape[0]):
         observe_body(bodies.states[i], drive[bodies.rows[i]])
@@ -212,13 +206,13 @@ class World:
         self._refresh()
 
     def add(self, row: int, body: pymunk.Body, radius: float) -> None:
-        """Add the body of a robot, replacing the one that it had here."""
+        """Add the body of a robot in place of the one that it had here."""
         self.remove(row)
         shape = pymunk.Circle(body, radius)
         shape.filter = pymunk.ShapeFilter(categories=ROBOTS, mask=WALLS)
         shape.friction = 0.0
         self.space.add(body, shape)
-        self.space._bodies_to_check.clear()  # old bodies pile up there, as Space.step is never called
+        self.space._bodies_to_check.clear()  # only Space.step, which is never called, empties it
         self.body_of[row] = body
         self._refresh()
 
@@ -235,9 +229,9 @@ class World:
         ids = Buffer()
         get_space_bodies(self.space, BodyFields.BODY_ID, ids)
         row_of = {body.id: row for row, body in self.body_of.items()}
-        order = [row_of[i] for i in memoryview(ids.int_buf()).cast("P") if i in row_of]  # the last is the walls' body
+        order = [row_of[i] for i in memoryview(ids.int_buf()).cast("P") if i in row_of]  # the walls' body comes last
         read, write = (np.zeros((count + 1) * width + SLACK) for width in (READ_WIDTH, WRITE_WIDTH))
-        # `pymunk.batch` makes these anew in each call, which takes longer than the work itself.
+        # `pymunk.batch` would make these in each call, which takes longer than the work itself.
         self._arrays, self._batches = ffi.new("pmFloatArray[2]"), ffi.new("pmBatchedData[2]")
         for i, (fields, floats) in enumerate(((READ, read), (WRITE, write))):
             self._arrays[i].arr, self._arrays[i].max = ffi.cast("double *", floats.ctypes.data), len(floats)

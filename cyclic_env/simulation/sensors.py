@@ -1,7 +1,7 @@
 """The three sensors and their errors: distance meter, compass and laser.
 
-The noise presets and their terms are in `cyclic_env.config`. Every robot draws from a generator of its own, equally
-many numbers at every step whatever it does, so that its random numbers depend on nothing else.
+The noise presets and their terms are in `cyclic_env.config`. Every robot draws from its own generator, and
+equally many numbers in each step, so that its random numbers depend on nothing that happens.
 """
 
 from __future__ import annotations
@@ -21,8 +21,8 @@ FIELD_WAVES = 64
 
 ERRORS = np.dtype(
     [
-        ("scale", "f8"),  # of the distance meter: true metres are multiplied by it
-        ("drift", "f8"),  # of the distance meter, metres for a square root of a metre driven
+        ("scale", "f8"),  # of the distance meter, a factor of the true distance
+        ("drift", "f8"),  # of the distance meter, metres per square root of a metre driven
         ("white", "f8"),  # noise of the compass, radians
         ("field_amplitude", "f8"),  # of each wave of the compass field, radians
         ("laser_sigma", "f8"),
@@ -36,9 +36,9 @@ ERRORS = np.dtype(
 
 
 class Fills(NamedTuple):
-    """Addresses of NumPy's C functions that fill arrays with random numbers; 0 where its library hides them.
+    """Addresses of NumPy's C functions that fill arrays with random numbers; 0 if NumPy's library hides them.
 
-    The methods of a `Generator` call them, so that they draw the same numbers, but calling a method takes longer than
+    They draw the same numbers as the methods of a `Generator`, which call them, but calling a method takes longer than
     drawing the numbers of a scan. NumPy documents this use ("Extending", the example with CFFI).
     """
 
@@ -73,7 +73,7 @@ class Sensors:
     true_ranges : (N, num_beams) float64
         What the laser would read without errors, metres; filled by the engine.
     ranges : (N, num_beams) float64
-        What it reads, metres; the same array if the laser is exact.
+        What the laser reads, metres; the same array if it is exact.
     distance : (N,) float64
         Readings of the distance meters, metres.
     compass : (N, 2) float64
@@ -97,7 +97,7 @@ class Sensors:
         self._drifts = any(one.distance_drift > 0 or one.compass_white_deg > 0 for one in noise)
         self._normals = np.zeros((num_robots, 2))
         drawn = 0 if self._laser_is_exact else laser.num_beams
-        # Single precision, as the observations are: it is drawn in half the time.
+        # Single precision, like the observations, takes half the time to draw.
         self._beam_uniforms = np.zeros((num_robots, drawn), np.float32)
         self._beam_normals = np.zeros((num_robots, drawn), np.float32)
 
@@ -170,9 +170,9 @@ class Sensors:
 
 @compiled
 def draw_rows(rows, generators, fills, drifts, normals, beam_uniforms, beam_normals):
-    """Fill rows of the arrays with random numbers; those of the first one only if a meter or compass `drifts`.
+    """Fill `rows` of the arrays with random numbers, and `normals` only if a meter or compass `drifts`.
 
-    `generators` has the addresses of the generators of the robots `rows`.
+    `generators` holds the addresses of these robots' generators.
     """
     for i in range(rows.shape[0]):
         row, generator = rows[i], generators[i]
@@ -216,7 +216,7 @@ def disturb_rows(rows, true_ranges, errors, uniforms, normals, range_max, ranges
     uniforms, normals : (N, num_beams) float32
     range_max : float
     ranges : (N, num_beams) float64
-        Written to.
+        Output.
     """
     for row in rows:
         noise = errors[row]

@@ -1,4 +1,4 @@
-"""For every position in a building, the few walls near it: the index that the laser and the lines of sight use."""
+"""A spatial index of walls: the few that can be seen from a position, for the laser and for lines of sight."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from cyclic_env.floor_plans.floor_plan import FloorPlan
 from cyclic_env.jit import compiled
 
 TILE_SIZE = 2.0
-"""Metres. Smaller tiles have shorter lists, but there are more of them; with 2 m Killian Court's fit the cache."""
+"""Metres. Smaller tiles have shorter lists but are more numerous; at 2 m, Killian Court's fit the cache."""
 
 ROUNDING = 1e-6
-"""Metres, and square metres. A wall that seems out of reach, or seen from behind, by no more than this is listed."""
+"""Metres, and square metres. Walls out of reach, or seen from behind, by no more than this are listed, too."""
 
 TILES_MAX = 2_000_000
 """Largest number of tiles of a plan, 8 km2; they take a gigabyte while they are built."""
@@ -24,8 +24,8 @@ TILES_MAX = 2_000_000
 GRID = np.dtype(
     [("west", "f8"), ("south", "f8"), ("columns", "i8"), ("rows", "i8"), ("first", "i8")],
 )
-"""Square cells over one plan, indexed row by row from the south-west corner: that corner, the numbers of columns and
-rows, and the index of the first cell."""
+"""Square cells over one plan, numbered row by row from the south-west corner: the position of that corner, the numbers
+of columns and rows, and the number of the first cell."""
 
 
 class WallIndex(NamedTuple):
@@ -93,7 +93,7 @@ def join_wall_indices(index: WallIndex, others: WallIndex) -> WallIndex:
 
 
 def no_walls() -> WallIndex:
-    """Return the index of open ground: a plan of one tile, without walls."""
+    """Return the index of a plan without walls, which has one tile."""
     return WallIndex(
         grids=np.array([(0.0, 0.0, 1, 1, 0)], GRID),
         walls=np.empty((0, 4)),
@@ -122,9 +122,9 @@ def list_walls(walls, grid, reach, inside, ends, listed):
     inside : (T,) bool
         Which tiles get a list.
     ends : (T,) int64
-        Where the list of each tile begins; afterwards, where it ends. Zeros become the numbers of walls.
+        On entry, where the list of each tile begins; on return, where it ends. Zeros become the numbers of walls.
     listed : (L,) int32
-        Written to, unless it is empty: the walls' indices, ascending in each tile.
+        Output, unless it is empty: the walls' indices, ascending in each tile.
     """
     west, south, columns, rows = grid.west, grid.south, grid.columns, grid.rows
     for w in range(walls.shape[0]):
@@ -138,7 +138,7 @@ def list_walls(walls, grid, reach, inside, ends, listed):
                 tile = row * columns + column
                 if not inside[tile]:
                     continue
-                # Seen from the tile's middle, its corners are at -half and half.
+                # Relative to the tile's centre, its corners are at -half and half.
                 half = 0.5 * TILE_SIZE
                 x, y = west + TILE_SIZE * (column + 0.5), south + TILE_SIZE * (row + 0.5)
                 dx, dy = x2 - x1, y2 - y1
@@ -155,7 +155,7 @@ def list_walls(walls, grid, reach, inside, ends, listed):
 def _square_distance(x1, y1, x2, y2, half):
     """Return the squared distance from the segment (x1, y1), (x2, y2) to the square from -half to half."""
     dx, dy = x2 - x1, y2 - y1
-    low, high = 0.0, 1.0  # part of the segment inside
+    low, high = 0.0, 1.0  # ends of the part of the segment inside the square
     for start, along in ((x1, dx), (y1, dy)):
         if along != 0:
             one, other = (-half - start) / along, (half - start) / along

@@ -44,7 +44,7 @@ class CoverageGrid(NamedTuple):
     number : (cells,) int32
         Each cell's index among the free cells of its plan; -1 where the centre is not free.
     cells_total : (P,) int64
-        How many free cells each plan has.
+        Number of free cells of each plan.
     seen : (N, most free cells) bool
     """
 
@@ -61,7 +61,7 @@ def build_coverage_grid(plan: FloorPlan, num_robots: int, config: CoverageConfig
     Raises
     ------
     FloorPlanError
-        If it has too many cells, or is so small that no cell's centre is free.
+        If it has too many cells, or is so small that it has none.
     """
     size = float(config.cell_size)
     west, south, east, north = plan.bounds
@@ -179,8 +179,8 @@ def _mark_beam(number, seen, columns, start, direction, reach):
 def visible_share(plan: FloorPlan, robot_radius: float, range_max: float, config: CoverageConfig) -> float:
     """Return the share of the free cells that a robot can see from the positions that it can reach.
 
-    All-around scans are taken on lattices of reachable positions, ever finer ones until `config.complete` is seen:
-    from there on the share is a lower bound. A laser's reach of less than `REACH_MIN` is taken for that.
+    It scans all around from ever finer lattices of reachable positions until `config.complete` is seen, and the share
+    is then a lower bound. A laser that reaches less far than `REACH_MIN` is taken to reach that far.
     """
     laser = LaserConfig(range_max=max(range_max, REACH_MIN))
     beams, walls = laser_beams(laser), build_wall_index(plan, laser.range_max)
@@ -200,7 +200,7 @@ def visible_share(plan: FloorPlan, robot_radius: float, range_max: float, config
 
 @compiled
 def _mark_from(walls, grid, positions, beams, scratch, ranges):
-    """Mark what scans from `positions` (n, 2) see; return how many cells are new."""
+    """Mark the cells that scans from `positions` (n, 2) see; return how many are new."""
     new = 0
     for i in range(positions.shape[0]):
         pose = (positions[i, 0], positions[i, 1], 0.0)

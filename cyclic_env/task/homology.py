@@ -1,6 +1,6 @@
 """Which cycles a loop goes around: signed crossings of cuts, winding numbers, and the rank of the windings.
 
-From the hole of every cycle a cut runs due north from its anchor. A closed loop winds around a hole as often as it
+From an anchor in the hole of every cycle, a cut runs due north. A closed loop winds around a hole as often as it
 crosses that cut westwards more than eastwards. The windings of a loop about all holes are an integer vector, and the
 rank of such vectors is the number of independent cycles that the loops have closed.
 
@@ -43,7 +43,7 @@ def count_crossings(anchors, track, step, checkpoints):
     step : int
         The last step.
     checkpoints : (T // CHECKPOINT_STEPS + 2, C) int64
-        Written to: crossings from the start to step ``CHECKPOINT_STEPS * i``; the one after the last step's is running.
+        Output: crossings from the start to step ``CHECKPOINT_STEPS * i``; the one after the last step's is running.
     """
     running = checkpoints[(step - 1) // CHECKPOINT_STEPS + 1]
     ax, ay, bx, by = track[step - 1, 0], track[step - 1, 1], track[step, 0], track[step, 1]

@@ -37,26 +37,26 @@ from cyclic_env.task.path_history import (
 )
 
 OPEN_CELLS_MAX = 1_000
-"""Cells to a side under a trajectory without a plan; positions beyond belong to the outermost ones."""
+"""Cells along each side of a trajectory without a plan, at most; positions beyond belong to the outermost cells."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TrajectoryJudgement:
-    """What is true of a trajectory and the claims made on it.
+    """The truth about a trajectory and the claims made on it.
 
     Attributes
     ----------
     revisit : (T + 1,) bool
         Whether each step is a revisit; the first never is.
     fresh : (T + 1,) bool
-        Whether it is one on ground that no counted event has covered before.
+        Whether it is a revisit of ground that no counted event has covered before.
     claims : (c,) CLAIM
         The judged claims, in order; others were ignored. A `match` of -1 is a claim with no step to name.
     claim_errors_m : (c,) float64
         Distance between the two positions of each judged claim; 0.0 where it names no step.
     false_claims, revisits, revisits_recognised, cycles_closed, cycles_total : int
     precision, recall : float
-        1.0 where nothing could be wrong.
+        1.0 while there is nothing to count.
     """
 
     revisit: np.ndarray
@@ -91,7 +91,7 @@ def judge_trajectory(
     Raises
     ------
     UsageError
-        If the shapes are others, a position isn't finite, the path gets shorter, or a claim names a step to come.
+        If a shape is wrong, a position isn't finite, the path gets shorter, or a claim names a later step.
     """
     config = config or ClosureConfig()
     track = _checked_trajectory(trajectory)
@@ -118,7 +118,7 @@ def judge_trajectory(
 def true_returns(
     plan: FloorPlan | None, trajectory: Any, steps: Any = None, config: ClosureConfig | None = None
 ) -> np.ndarray:
-    """Return how a claim at each of some steps that it is back at an earlier one of them would be judged.
+    """Return how a claim at each of `steps` to be back at an earlier one of them would be judged.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ def true_returns(
     Raises
     ------
     UsageError
-        As `judge_trajectory`, and if the steps aren't ascending numbers of steps.
+        As `judge_trajectory` does, and if `steps` are not ascending numbers of steps.
     """
     config = config or ClosureConfig()
     track = _checked_trajectory(trajectory)

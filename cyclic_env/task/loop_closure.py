@@ -1,4 +1,4 @@
-"""The truth about loop closure: when a robot is back, which claims of it are right, which cycles they close.
+"""The truth about loop closure: when a robot returns, which claims are right, and which cycles they close.
 
 With true positions p, path length s and the settings of `ClosureConfig`:
 
@@ -43,7 +43,7 @@ from cyclic_env.task.path_history import (
 )
 
 RULES_VERSION = 2
-"""Version of the definitions above. A recording that stores another one, or none, was judged by other rules.
+"""Version of the definitions above. A recording with another version, or none, was judged by other rules.
 
 1. Every revisit step could begin or extend a revisit event, and only a correct claim within an event recognised it.
 2. Ground counts once: events are runs of fresh steps, and a correct claim just before an event recognises it, too.
@@ -51,10 +51,10 @@ RULES_VERSION = 2
 """
 
 NO_CLAIM, NEAREST = -2, -1
-"""In place of a claimed step: no claim is made; let the truth choose the nearest step that t returns to."""
+"""Values in place of a claimed step: no claim is made, and the claim is of the nearest step that t returns to."""
 
 RETURNS, ELSEWHERE, TOO_SOON = 1, 0, -1
-"""Of a step and an earlier one: a claim of it would be correct, false, or ignored for want of gap or leave alone."""
+"""How a step relates to an earlier one: a claim is correct, false, or ignored as failing by gap or leave alone."""
 
 
 class ClosureRules(NamedTuple):
@@ -98,7 +98,7 @@ def _forget_last_step(status):
 
 @compiled
 def advance(robot, building, rules, x, y):
-    """Take the robot's next step, to (x, y), and see whether it is a revisit and whether an event begins or settles."""
+    """Take the robot's next step, to (x, y), find whether it is a revisit, and begin or settle revisit events."""
     status = robot.status
     dx, dy = x - robot.track[status.steps, 0], y - robot.track[status.steps, 1]
     advance_along(robot, building, rules, x, y, status.path_length + math.sqrt(dx * dx + dy * dy))
@@ -173,7 +173,7 @@ def judge_claim(robot, building, rules, claimed):
 
 @compiled
 def _close_cycle(robot, building, k):
-    """See whether the loop from step k closes a new cycle."""
+    """Count a closed cycle if the loop from step k closes a new one."""
     status, cycles = robot.status, building.anchors.shape[0]
     if status.cycles_closed < cycles:
         vector = robot.basis[status.cycles_closed, :cycles]
@@ -222,7 +222,7 @@ def find_return(robot, building, rules, nearest):
     column, line = status.cell % columns, status.cell // columns
     best, best_square = -1, rules.return_radius * rules.return_radius
     last = status.gap_step  # the last step long enough ago
-    last_known = False  # whether it is also before the robot was away, which is found out when first needed
+    last_known = False  # whether `last` is also before the robot was away, which is found when first needed
     for cell_line in range(max(line - 1, 0), min(line + 2, rows)):
         for cell_column in range(max(column - 1, 0), min(column + 2, columns)):
             visit = robot.cells[cell_line * columns + cell_column, 0]
@@ -266,12 +266,12 @@ def _on_counted_ground(robot, building, rules):
 
 @compiled
 def precision_of(status):
-    """Return the share of what was claimed that is right: recognised events among them and false claims, 1 for none."""
+    """Return the share of recognised events among recognised events and false claims; 1 if there are none."""
     judged = status.recognised + status.false_claims
     return status.recognised / judged if judged > 0 else 1.0
 
 
 @compiled
 def recall_of(status):
-    """Return the share of the settled events that was recognised, 1 for none."""
+    """Return the share of settled events that were recognised; 1 if there are none."""
     return status.recognised / status.revisits if status.revisits > 0 else 1.0

@@ -1,8 +1,8 @@
-"""What is remembered of the paths of N robots, so that an earlier position nearby is found among thousands.
+"""The memory of the paths of N robots, which finds an earlier position nearby among thousands.
 
 A path is divided into **visits**: runs of at most `VISIT_STEPS` steps within one cell of the size of the return
 radius. Every cell lists its visits, oldest first, and every visit has the box around its positions. Ground that a
-counted revisit event covered is marked step by step, and every cell lists the visits with such steps as well.
+counted revisit event covered is marked step by step, and every cell also lists the visits with such steps.
 
 The arrays have room for the longest episodes, but take memory only as the paths grow.
 """
@@ -37,7 +37,7 @@ STATUS = np.dtype(
         ("event_first", "i8"),  # first and last fresh step of the open event
         ("event_last", "i8"),
         ("revisits", "i8"),  # settled events
-        ("recognised", "i8"),  # those of them that were recognised
+        ("recognised", "i8"),  # settled events that were recognised
         ("missed_now", "i8"),  # events that settled missed in this step
         ("judged_path", "f8"),  # path length at the last judged claim, and at the last correct one
         ("correct_path", "f8"),
@@ -50,7 +50,7 @@ STATUS = np.dtype(
         ("cycles_closed", "i8"),
     ]
 )
-"""Loop closure of one robot; what concerns a single step is of the last one."""
+"""The state of loop closure of one robot; fields about a single step are about the last one."""
 
 NONE, UNLISTED = -1, -2
 
@@ -73,7 +73,7 @@ CLAIM = np.dtype([("step", "i4"), ("match", "i4"), ("correct", "?"), ("new_cycle
 class ClosureMemory(NamedTuple):
     """The paths of N robots, of at most T steps each, in a pool of P plans with at most C cycles each.
 
-    A pickle holds the steps that were taken, and not the room for more.
+    A pickle holds only the steps that were taken, without room for more.
 
     Attributes
     ----------
@@ -116,7 +116,7 @@ class ClosureMemory(NamedTuple):
     walls: WallIndex
 
     def used(self) -> ClosureMemory:
-        """Return the part of the memory that the paths have come to."""
+        """Return the part of the memory that the paths use."""
         steps, visits, claims = (int(self.status[name].max()) for name in ("steps", "visits", "claims"))
         counts = {"track": steps + 1, "counted": steps + 1, "visits": visits, "claims": claims}
         counts["crossing_checkpoints"] = steps // CHECKPOINT_STEPS + 2
@@ -255,7 +255,7 @@ def building_view(memory, plan):
 
 @compiled
 def begin_path(robot, building, x, y):
-    """Forget the robot's path, and begin a new one at (x, y) with step 0."""
+    """Clear the robot's path, and begin a new one at (x, y) with step 0."""
     status = robot.status
     status.steps, status.path_length = 0, 0.0
     status.visits, status.cell, status.gap_step = 0, NONE, NONE
@@ -310,7 +310,7 @@ def visit_end(robot, visit):
 
 @compiled
 def box_square(visit, x, y):
-    """Return the squared distance from (x, y) to the box around a visit, which no position of it undercuts."""
+    """Return the squared distance from (x, y) to the box around a visit, a lower bound for its positions."""
     dx, dy = max(visit.west - x, x - visit.east, 0.0), max(visit.south - y, y - visit.north, 0.0)
     return dx * dx + dy * dy
 

@@ -1,4 +1,4 @@
-"""The reward: a weighted sum of named terms, which the info holds as well, so that the two can't disagree."""
+"""The reward: a weighted sum of named terms, which the info also holds, so that the two can't disagree."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def reward_weights(config: RewardConfig, cycles_total: np.ndarray, step_budget: 
     """Return what a unit of each term is worth, `(P, 6)`, in the order of `REWARD_TERMS`.
 
     A unit of coverage is all free cells newly seen, one of the collision term is a step in contact, and one of the time
-    term is a step. An episode that a collision ends is charged the steps that are left of its budget as well, so that
+    term is a step. An episode that a collision ends is also charged the steps left of its budget, so that
     crashing doesn't save time.
 
     Parameters
@@ -46,7 +46,7 @@ def reward_row(weights, units, terms):
     units : tuple of 6 numbers
         How many units of each term the step brought, in the order of `REWARD_TERMS`.
     terms : (6,) float64
-        Written to.
+        Output.
     """
     terms[0] = weights[0] * units[0]
     terms[1] = weights[1] * units[1]

@@ -1,4 +1,4 @@
-"""Checks of the arrays that come from outside, shared by the modules of trajectories."""
+"""Checks of the arrays that users pass to the functions on trajectories."""
 
 from __future__ import annotations
 

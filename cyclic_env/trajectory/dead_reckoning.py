@@ -12,7 +12,7 @@ from cyclic_env.trajectory.arrays import finite_column, finite_rows
 
 
 def dead_reckon(distance: Any, compass: Any, start: Any = (0.0, 0.0)) -> np.ndarray:
-    """Return the poses that the distance meter and the compass give on their own.
+    """Integrate the readings of the distance meter and the compass into poses.
 
     Each step is taken in the direction halfway between the compass readings before and after it, which is the direction
     of the chord where the robot drives an arc. The paper uses the reading after the step, which is wrong by half of

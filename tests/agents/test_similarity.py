@@ -86,11 +86,14 @@ def test_two_vectors_of_zeros_have_the_jaccard_distance_0() -> None:
     assert MEASURES["jaccard"].distance(np.zeros(3), np.zeros(3)) == 0
 
 
+BAD = [[1.0, np.nan], [np.inf, 1.0], [], np.zeros((2, 2, 2)), "far", [1e200, 1e200], [1j, 2]]
+
+
 @pytest.mark.parametrize("name", MEASURES)
-@pytest.mark.parametrize("bad", [np.array([1.0, np.nan]), np.array([np.inf, 1.0]), np.array([]), np.zeros((2, 2, 2))])
-def test_vectors_that_cannot_be_compared_are_refused(name: str, bad: np.ndarray) -> None:
-    with pytest.raises(ConfigError, match=name):
-        MEASURES[name].prepare(bad)
+@pytest.mark.parametrize("bad", BAD)
+def test_what_cannot_be_compared_is_refused(name: str, bad: object) -> None:
+    with pytest.raises(ConfigError):
+        MEASURES[name].prepare(bad)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("name", MEASURES)
@@ -101,13 +104,6 @@ def test_vectors_of_unlike_lengths_are_refused(name: str) -> None:
     if name != "variation":  # of a vector it keeps but one number
         with pytest.raises(ConfigError, match="expected \\(n, d\\) and"):
             measure.compare(measure.prepare(np.ones((4, 7))), measure.prepare(np.ones(1)))
-
-
-@pytest.mark.parametrize("name", MEASURES)
-@pytest.mark.parametrize("bad", ["far", np.array([1e200, 1e200]), np.array([1j, 2])])
-def test_huge_values_and_what_are_no_numbers_are_refused(name: str, bad: object) -> None:
-    with pytest.raises(ConfigError):
-        MEASURES[name].prepare(bad)  # pyright: ignore[reportArgumentType]
 
 
 @pytest.mark.parametrize("name", [name for name in MEASURES if name != "variation"])

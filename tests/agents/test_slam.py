@@ -172,6 +172,17 @@ def test_a_pose_graph_is_solved_as_least_squares_are() -> None:
     np.testing.assert_allclose(wrap_all(found[1:, 2] - expected[:, 2]), 0, atol=2e-3)
 
 
+def follow(track: ScanMatchingTracker, keyframes: Keyframes, driven: float, heading: float, ranges: np.ndarray) -> None:
+    """Let a tracker take in a scan, and add its keyframe."""
+    track.advance(driven, np.array([math.cos(heading), math.sin(heading)]))
+    count = keyframes.count
+    track.localize(
+        keyframes, ranges, ranges, keyframes.geodesic_distances(count - 1).distances if count else np.zeros(0)
+    )
+    lines = MATCHER.wall_lines(ranges)
+    keyframes.add(pose=track.pose, scan=ranges, endpoints=ranges, lines=lines, compass=track.compass)
+
+
 def test_closing_a_loop_straightens_a_bent_track() -> None:
     """Around a block with a distance meter that runs fast at first and slow then, whose errors do not cancel."""
     ring = load_floor_plan("ring")
@@ -180,16 +191,9 @@ def test_closing_a_loop_straightens_a_bent_track() -> None:
     steps = np.diff(np.vstack([stops, stops[:1]]), axis=0)
     headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
     track, keyframes, driven = ScanMatchingTracker(MATCHER), Keyframes(BEAMS, 7), 0.0
-    geodesic_m = np.zeros(0)
     for index, (stop, heading) in enumerate(zip(stops, headings, strict=True)):
         driven += 0.0 if index == 0 else 1.1 if index < 26 else 0.95
-        track.advance(driven, np.array([math.cos(heading), math.sin(heading)]))
-        ranges = seen(ring, *stop, heading)
-        track.localize(keyframes, ranges, ranges, geodesic_m)
-        row = keyframes.add(
-            pose=track.pose, scan=ranges, endpoints=ranges, lines=MATCHER.wall_lines(ranges), compass=track.compass
-        )
-        geodesic_m = keyframes.geodesic_distances(row).distances
+        follow(track, keyframes, driven, heading, seen(ring, *stop, heading))
     true = relative(np.array([*stops[0], headings[0]]), np.array([*stops[-1], headings[-1]]))
     before = math.hypot(*(relative(keyframes.pose[0], keyframes.pose[-1]) - true)[:2])
     expected = np.array([*keyframes.pose[0, :2], keyframes.pose[-1, 2]])
@@ -209,16 +213,11 @@ def test_the_distance_meters_scale_is_learned_from_the_walls() -> None:
     )
     along = (end - start) / math.hypot(*(end - start))
     heading = math.atan2(along[1], along[0])
-    track, keyframes, geodesic_m = ScanMatchingTracker(MATCHER), Keyframes(BEAMS, 7), np.zeros(0)
+    track, keyframes = ScanMatchingTracker(MATCHER), Keyframes(BEAMS, 7)
     for metres in range(25):
-        track.advance(1.04 * metres, np.array([math.cos(heading), math.sin(heading)]))
         ranges = seen(grid, *(start + (1.0 + metres) * along), heading)
         ranges = np.clip(ranges + rng.normal(0, 0.02, BEAMS), 0.0, REACH)
-        track.localize(keyframes, ranges, ranges, geodesic_m)
-        row = keyframes.add(
-            pose=track.pose, scan=ranges, endpoints=ranges, lines=MATCHER.wall_lines(ranges), compass=track.compass
-        )
-        geodesic_m = keyframes.geodesic_distances(row).distances
+        follow(track, keyframes, 1.04 * metres, heading, ranges)
     assert track.scale == pytest.approx(1 / 1.04, abs=0.005)
 
 

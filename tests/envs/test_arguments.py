@@ -15,6 +15,7 @@ import pytest
 import shapely
 
 from cyclic_env import CyclicLoopEnv, CyclicLoopError, CyclicLoopVectorEnv, FloorPlan
+from tests.helpers import refused
 
 both_environments = pytest.mark.parametrize("env_class", [CyclicLoopEnv, CyclicLoopVectorEnv])
 
@@ -41,9 +42,8 @@ class TensorWithGradient:
     ],
 )
 def test_a_bad_argument_is_refused_in_one_line(env_class: Any, arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(CyclicLoopError, match=message) as caught:
+    with refused(message):
         env_class(**{"map_name": "ring", **arguments})
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -61,9 +61,8 @@ def test_a_bad_argument_is_refused_in_one_line(env_class: Any, arguments: dict[s
     ],
 )
 def test_a_bad_argument_of_the_vector_env_is_refused(arguments: dict[str, Any], message: str) -> None:
-    with pytest.raises(CyclicLoopError, match=message) as caught:
+    with refused(message):
         CyclicLoopVectorEnv(**{"map_name": "ring", **arguments})
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -72,13 +71,13 @@ def test_a_bad_argument_of_the_vector_env_is_refused(arguments: dict[str, Any], 
 def test_a_building_too_large_for_its_cells_or_tiles_is_refused(side: float, cell_size: float, message: str) -> None:
     block = [(4, 4), (4, side - 4), (side - 4, side - 4), (side - 4, 4)]
     street = shapely.Polygon(shapely.box(0, 0, side, side).exterior, [block])
-    with pytest.raises(CyclicLoopError, match=message):
+    with refused(message):
         CyclicLoopEnv(FloorPlan("street", street, (2.0, 2.0, 0.0)), step_budget=10, coverage={"cell_size": cell_size})
 
 
 @pytest.mark.parametrize("far", [1e300, np.inf, np.nan, -2e5])
 def test_a_floor_plan_with_a_point_out_of_the_world_is_refused(far: float) -> None:
-    with pytest.raises(CyclicLoopError, match="move the building to the origin"), np.errstate(all="ignore"):
+    with refused("move the building to the origin"), np.errstate(all="ignore"):
         FloorPlan("far", shapely.Polygon([(0, 0), (10, 0), (10, far), (0, 10)]), (1.0, 1.0, 0.0))
 
 
@@ -104,9 +103,8 @@ def test_a_floor_plan_with_a_point_out_of_the_world_is_refused(far: float) -> No
 def test_a_bad_action_is_refused_and_the_episode_goes_on(action_type: str, action: Any, message: str) -> None:
     env = CyclicLoopEnv("ring", action_type=action_type)
     env.reset(seed=0)
-    with pytest.raises(CyclicLoopError, match=message) as caught:
+    with refused(message):
         env.step(action)
-    assert "\n" not in str(caught.value)
     env.step(env.action_space.sample())
 
 
@@ -114,7 +112,7 @@ def test_a_batch_of_actions_of_the_wrong_size_is_refused() -> None:
     env = CyclicLoopVectorEnv(3, "ring")
     env.reset(seed=0)
     for shape, message in (((2, 4), r"have shape \(2, 4\); expected \(3, 4\)"), ((3, 5), r"has shape \(5,\)")):
-        with pytest.raises(CyclicLoopError, match=message):
+        with refused(message):
             env.step(np.zeros(shape))
 
 
@@ -129,7 +127,7 @@ def test_steps_pictures_and_questions_before_the_first_reset_are_refused(env_cla
     else:
         questions += [lambda: env.floor_plan(0), lambda: env.step_budget(0)]
     for question in questions:
-        with pytest.raises(CyclicLoopError, match="call reset"):
+        with refused("call reset"):
             question()
 
 
@@ -140,7 +138,7 @@ def test_a_step_after_the_end_is_refused() -> None:
         actions = np.zeros(env.action_space.shape or ())
         env.reset(seed=0)
         env.step(actions)
-        with pytest.raises(CyclicLoopError, match=message):
+        with refused(message):
             env.step(actions)
 
 
@@ -149,7 +147,7 @@ def test_a_question_about_a_row_that_does_not_exist_is_refused(row: Any) -> None
     env = CyclicLoopVectorEnv(2, "ring")
     env.reset(seed=0)
     for question in (env.floor_plan, env.step_budget, env.trajectory, env.claims, env.seen_cells):
-        with pytest.raises(CyclicLoopError, match="a whole number from 0 to 1"):
+        with refused("a whole number from 0 to 1"):
             question(row)
 
 
@@ -170,15 +168,14 @@ def test_a_question_about_a_row_that_does_not_exist_is_refused(row: Any) -> None
 )
 def test_bad_options_of_a_reset_are_refused(env_class: Any, options: Any, message: str) -> None:
     env = env_class(map_name="ring")
-    with pytest.raises(CyclicLoopError, match=message) as caught:
+    with refused(message):
         env.reset(options=options)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("mask", [[True, False], np.zeros(2, bool), np.ones(3, bool), np.ones(2)])
 def test_a_bad_reset_mask_is_refused(mask: Any) -> None:
     env = CyclicLoopVectorEnv(2, "ring")
-    with pytest.raises(CyclicLoopError, match="2 bools"):
+    with refused("2 bools"):
         env.reset(options={"reset_mask": mask})
 
 
@@ -190,9 +187,9 @@ def test_a_refused_start_leaves_everything_as_it_was() -> None:
         env.reset(seed=4)
     starts = [vector.floor_plan(0).start, vector.floor_plan(1).start, far]
     for seed in (None, 4):
-        with pytest.raises(CyclicLoopError, match="outside the building"):
+        with refused("outside the building"):
             single.reset(seed=seed, options={"start": far})
-        with pytest.raises(CyclicLoopError, match="outside the building"):
+        with refused("outside the building"):
             vector.reset(seed=seed, options={"start": starts})
     for env, twin in ((single, single_twin), (vector, vector_twin)):
         actions = np.zeros(env.action_space.shape or ())
@@ -213,7 +210,7 @@ def test_the_largest_start_headings_are_wrapped_exactly() -> None:
 @both_environments
 @pytest.mark.parametrize("seed", [1.5, "x", -1, np.array([1.0]), {1: 2}])
 def test_a_seed_that_is_not_a_whole_number_is_refused(env_class: Any, seed: Any) -> None:
-    with pytest.raises(CyclicLoopError, match="expected a whole number"):
+    with refused("expected a whole number"):
         env_class(map_name="ring").reset(seed=seed)
 
 
@@ -223,7 +220,7 @@ def test_seeds_of_the_rows_are_whole_numbers_and_one_for_each() -> None:
         env.reset(seed=seeds)  # pyright: ignore[reportArgumentType]
         assert env.np_random_seed == (0, 1, 2)
     for seeds, message in (([1, -2, 3], "seed is -2"), ([1, 2], "2 seeds were given for 3 rows")):
-        with pytest.raises(CyclicLoopError, match=message):
+        with refused(message):
             env.reset(seed=seeds)
 
 
@@ -238,7 +235,7 @@ def test_the_action_of_a_row_that_is_being_reset_is_ignored() -> None:
     *_, infos = env.step(nonsense)  # row 1 is reset
     assert infos["path_length_m"][0] > 0
     assert infos["path_length_m"][1] == 0
-    with pytest.raises(CyclicLoopError, match=r"robot 1 .* no NaN"):
+    with refused(r"robot 1 .* no NaN"):
         env.step(nonsense)
 
 

@@ -32,11 +32,6 @@ def test_importing_the_package_is_quick_and_loads_no_heavy_library() -> None:
     assert result.stdout.strip() == "[]"
 
 
-@pytest.mark.parametrize("name", cyclic_env.__all__)
-def test_every_public_name_is_there(name: str) -> None:
-    assert hasattr(cyclic_env, name)
-
-
 @pytest.mark.parametrize("action_type", ACTION_TYPES)
 def test_gymnasiums_checker_has_no_warning_on_any_plan(
     plan: cyclic_env.FloorPlan, action_type: ActionType, monkeypatch: pytest.MonkeyPatch

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 import multiprocessing
 import pickle
 import warnings
@@ -85,12 +86,6 @@ def test_gymnasiums_vector_wrappers_take_it() -> None:
     assert infos[-1][0]["coverage"] > 0
 
 
-def test_masks_of_the_infos_cannot_be_written_to() -> None:
-    *_, infos = CyclicLoopVectorEnv(2, "ring").reset(seed=0)
-    with pytest.raises(ValueError, match="read-only"):
-        infos["_coverage"][:] = False
-
-
 @pytest.mark.parametrize("map_name", ["ring", "twin_rings"])
 def test_max_episode_steps_truncates_and_changes_nothing_else_on_both_faces(map_name: str) -> None:
     actions = bumping_actions(40, 1)
@@ -120,11 +115,10 @@ def test_a_copied_vector_env_goes_on_and_shares_nothing() -> None:
         assert_same(env.step(actions), twin.step(actions))
 
 
-@pytest.mark.parametrize("context", ["spawn", "forkserver", "fork"])
+@pytest.mark.parametrize("context", ["spawn", "fork"])
 def test_async_vector_env_works(context: str) -> None:
-    env = gymnasium.vector.AsyncVectorEnv(
-        [lambda: gymnasium.make("cyclic_env:CyclicLoop-v0", map_name="ring")] * 2, context=context
-    )
+    make = functools.partial(gymnasium.make, "cyclic_env:CyclicLoop-v0", map_name="ring")
+    env = gymnasium.vector.AsyncVectorEnv([make] * 2, context=context)
     env.reset(seed=0)
     observations, *_ = env.step(bumping_actions(1, 2)[0])
     env.close()
@@ -264,8 +258,9 @@ def test_info_records_are_the_infos_of_the_moment_and_cannot_be_written_to() -> 
             assert_array_equal(records[name], infos[name], strict=True)
         if action is not None:
             *_, infos = env.step(action)
-    with pytest.raises(ValueError, match="read-only"):
-        records["x"] = 0.0
+    for name, values in (("x", records), (slice(None), infos["_coverage"])):
+        with pytest.raises(ValueError, match="read-only"):
+            values[name] = 0
 
 
 def test_a_timer_adds_up_the_stages_of_the_steps() -> None:
@@ -290,13 +285,10 @@ def test_rows_left_out_of_a_step_draw_nothing_and_ended_ones_may_wait_for_their_
     steps = [some.step(actions, active=np.array([True, False])) for _ in range(4)]
     observation, rewards, *_ = steps[-1]
     assert all((observation[name][0] == expected[name][0]).all() for name in expected)
-    assert (rewards[0], rewards[1]) != (0, 0)
-    assert rewards[1] == 0
+    assert rewards[0] != 0 == rewards[1]
     _, _, _, truncated, _ = some.step(actions, active=np.array([False, True]))
     assert truncated.tolist() == [True, False]
     with pytest.raises(UsageError, match="ended"):
         some.step(actions)
     with pytest.raises(UsageError, match="DISABLED"):
         CyclicLoopVectorEnv(1, "ring").step(actions[:1], active=np.array([True]))
-    some.close()
-    alone.close()

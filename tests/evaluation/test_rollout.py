@@ -17,6 +17,7 @@ from agents import make_agent
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopVectorEnv
 from cyclic_env.evaluation.rollout import evaluate, rollout
 from cyclic_env.evaluation.statistics import Evaluation
+from tests.helpers import refused
 
 BUDGET = 120
 
@@ -67,13 +68,6 @@ def test_a_record_is_what_a_single_env_says() -> None:
     assert episode == wanted | info | {"reward_terms": terms}
 
 
-def test_reward_terms_of_a_record_add_up_to_its_return() -> None:
-    result = evaluate(make_agent("circling+claims"), seeds=range(2), map_name="ring")
-    for episode in result.episodes:
-        assert episode["is_success"]
-        assert sum(episode["reward_terms"].values()) == pytest.approx(episode["return"])
-
-
 def test_vector_env_of_single_envs_gives_the_same_records() -> None:
     def make() -> gymnasium.Env:
         return CyclicLoopEnv("ring", step_budget=BUDGET)
@@ -118,22 +112,20 @@ def test_policy_is_told_which_episodes_begin() -> None:
     ],
 )
 def test_odd_seeds_are_refused_in_one_line(seeds: Any, message: str) -> None:
-    with pytest.raises(ConfigError, match=message) as raised:
+    with refused(message, ConfigError):
         evaluate(make_agent("random"), seeds=seeds, map_name="ring")
-    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("answer", [None, np.zeros((2, 4)), (np.zeros((2, 4)),)])
 def test_a_policy_that_returns_anything_but_actions_and_a_state_is_refused(answer: Any) -> None:
     policy: Any = types.SimpleNamespace(predict=lambda *_, **__: answer)
-    with pytest.raises(ConfigError, match=r"expected a tuple \(actions, state\)") as raised:
+    with refused(r"expected a tuple \(actions, state\)", ConfigError):
         evaluate(policy, seeds=range(2), map_name="ring")
-    assert "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize("policy", [None, object(), type(make_agent("random"))])
 def test_what_is_no_policy_is_refused(policy: Any) -> None:
-    with pytest.raises(ConfigError, match="expected an object with predict"):
+    with refused("expected an object with predict", ConfigError):
         evaluate(policy, seeds=[0], map_name="ring")
 
 
@@ -142,7 +134,7 @@ def test_what_is_no_vector_env_of_ours_is_refused() -> None:
     cart_pole = gymnasium.vector.SyncVectorEnv([lambda: gymnasium.make("CartPole-v1")], autoreset_mode=mode)
     wrong_mode = CyclicLoopVectorEnv(1, "ring")
     for env in (None, CyclicLoopEnv("ring"), cart_pole, wrong_mode):
-        with pytest.raises(ConfigError, match=r"expected (a vector env with|one of CyclicLoop)"):
+        with pytest.raises(ConfigError, match=r"expected a vector env"):
             next(rollout(make_agent("random"), env, [0]))  # pyright: ignore[reportArgumentType]
     cart_pole.close()
     wrong_mode.close()
@@ -183,5 +175,5 @@ def test_evaluation_needs_no_learning_library() -> None:
 
 
 def test_a_policy_that_acts_by_other_actions_than_the_environment_is_refused() -> None:
-    with pytest.raises(ConfigError, match="acts by 'twist', the environment by 'wheels'"):
+    with pytest.raises(ConfigError, match="'twist', but the environment has 'wheels'"):
         evaluate(make_agent("circling", action_type="twist"), map_name="ring", seeds=[0])

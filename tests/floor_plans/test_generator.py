@@ -21,7 +21,7 @@ from cyclic_env.floor_plans.floor_plan import MIN_CYCLE_LENGTH
 from cyclic_env.floor_plans.generator.layout import grow_edges
 from cyclic_env.floor_plans.generator.names import split_names
 from cyclic_env.floor_plans.generator.spec import HAND_SEED_MAX, RANGES, SPLITS, Draw, split_spec
-from tests.helpers import ROOT
+from tests.helpers import ROOT, refused
 
 GOLDEN = {
     "generated:cycles=4,seed=7": "7b1ae6b22fff6498",
@@ -150,14 +150,6 @@ def test_a_generated_building_never_changes(name: str) -> None:
     assert digest(load_floor_plan(name)) == GOLDEN[name]
 
 
-def test_a_digest_knows_no_first_vertex_and_no_direction() -> None:
-    square = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 3.0)]
-    plans = [
-        FloorPlan("a", shapely.Polygon(ring), (1, 1, 0)) for ring in (square, square[2:] + square[:2], square[::-1])
-    ]
-    assert len({digest(plan) for plan in plans}) == 1
-
-
 def test_another_process_draws_the_same_buildings() -> None:
     code = (
         "from tests.floor_plans.test_generator import GOLDEN, digest\n"
@@ -221,10 +213,8 @@ def test_a_name_says_cycles_seed_and_what_is_not_the_default() -> None:
     ],
 )
 def test_a_bad_name_gets_one_line(name: str, message: str) -> None:
-    with pytest.raises(FloorPlanError, match=re.escape(message)) as caught:
+    with refused(re.escape(message), FloorPlanError):
         load_floor_plan(name)
-    assert "\n" not in str(caught.value)
-    assert name in str(caught.value)
 
 
 @pytest.mark.parametrize("value", [True, "3", None, np.nan, 1e9, -1])

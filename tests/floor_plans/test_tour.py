@@ -58,15 +58,9 @@ def plan_tour(*corridors: tuple[float, list]) -> float:
 # Shapes known on paper
 
 
-@pytest.mark.parametrize("name", SHAPES)
-def test_the_tour_of_a_shape_known_on_paper(name: str) -> None:
-    lines, length = SHAPES[name]
+@pytest.mark.parametrize(("lines", "length"), SHAPES.values(), ids=SHAPES)
+def test_the_tour_of_a_shape_known_on_paper_straight_and_turned(lines: list, length: float) -> None:
     assert tour_of(lines) == pytest.approx(length, abs=1e-6)
-
-
-@pytest.mark.parametrize("name", SHAPES)
-def test_a_turned_shape_has_the_same_tour(name: str) -> None:
-    lines, length = SHAPES[name]
     turned = [shapely.affinity.rotate(LineString(line), 33.0, origin=(1, 2)) for line in lines]
     assert closed_tour(turned) == pytest.approx(length, abs=1e-4)
 
@@ -125,19 +119,15 @@ def test_a_plan_without_centrelines_has_no_tour(centrelines: tuple) -> None:
     assert math.isnan(plan.closed_tour())
 
 
-@pytest.mark.parametrize("gap", [0.0, 0.5, 1.0])
-def test_a_corridor_that_ends_short_of_a_line_is_joined_to_it(gap: float) -> None:
-    assert plan_tour((2.4, BLOCK), (2.0, [(20 + gap, 4), (27, 4)])) == pytest.approx(60 + 2 * 7)
-
-
-def test_a_narrow_corridor_that_ends_at_a_wide_one_is_joined_to_its_middle() -> None:
-    assert plan_tour((6.0, [(0, 0), (40, 0)]), (1.5, [(20, 2.9), (20, 15)])) == pytest.approx(2 * 55)
-
-
-def test_a_loop_that_is_nearly_closed_is_a_loop() -> None:
-    assert plan_tour((2.4, [*BLOCK[:4], (0, 0.5)])) == pytest.approx(60)
-
-
-def test_corridors_with_a_wall_between_are_not_joined() -> None:
-    walled = plan_tour((1.0, [(0, 0), (20, 0), (20, 1.2)]), (1.0, [(20, 1.2), (1, 1.2)]))
-    assert walled == pytest.approx(2 * (20 + 1.2 + 19))
+@pytest.mark.parametrize(
+    ("corridors", "length"),
+    [
+        *([[(2.4, BLOCK), (2.0, [(20 + gap, 4), (27, 4)])], 60 + 2 * 7] for gap in (0.0, 0.5, 1.0)),
+        ([(6.0, [(0, 0), (40, 0)]), (1.5, [(20, 2.9), (20, 15)])], 2 * 55),
+        ([(2.4, [*BLOCK[:4], (0, 0.5)])], 60),
+        ([(1.0, [(0, 0), (20, 0), (20, 1.2)]), (1.0, [(20, 1.2), (1, 1.2)])], 2 * (20 + 1.2 + 19)),
+    ],
+    ids=["end at a line", "0.5 m short", "1 m short", "end at a wide one", "loop nearly closed", "wall between"],
+)
+def test_corridors_are_joined_where_no_wall_is_between(corridors: list, length: float) -> None:
+    assert plan_tour(*corridors) == pytest.approx(length)

@@ -22,21 +22,9 @@ from cyclic_env.rendering.figures import (
     plan_figure,
 )
 from cyclic_env.task.path_history import CLAIM
+from tests.helpers import labels, texts
 
 WAY = np.array([(2.0, 2.0, 0.0), (8.0, 2.0, 6.0), (8.0, 8.0, 12.0), (2.0, 8.0, 18.0), (2.0, 2.5, 23.5)])
-
-
-@pytest.fixture
-def axes(square_room: FloorPlan) -> Axes:
-    return plan_figure(square_room, "A room")[1]
-
-
-def labels(axes: Axes) -> list[str]:
-    return [str(label) for label in axes.get_legend_handles_labels()[1]]
-
-
-def texts(axes: Axes) -> list[str]:
-    return [text.get_text() for text in axes.texts]
 
 
 def segments(axes: Axes) -> list[np.ndarray]:
@@ -71,12 +59,7 @@ def test_path_of_one_place_is_a_start(axes: Axes) -> None:
 def test_claims_are_told_apart_and_lead_to_the_places_they_named(axes: Axes) -> None:
     claims = np.array([(1, 0, True, False), (2, -1, False, False), (3, 1, False, False), (4, 0, True, True)], CLAIM)
     draw_claims(axes, WAY, claims)
-    assert labels(axes) == [
-        "correct claim (1)",
-        "false claim (2)",
-        "closes a cycle (1)",
-        "claim to match",
-    ]
+    assert labels(axes) == ["correct claim (1)", "false claim (2)", "closes a cycle (1)", "claim to match"]
     right, wrong, closing = segments(axes)
     np.testing.assert_array_equal(right, WAY[[[1, 0]], :2])
     np.testing.assert_array_equal(wrong, WAY[[[3, 1]], :2])  # the other had no place to name

@@ -11,6 +11,7 @@ import pytest
 
 from cyclic_env.floor_plans import load_floor_plan
 from tests.helpers import load_script
+from tests.scripts.conftest import Refused
 
 show_plans = load_script("show_plans")
 
@@ -44,20 +45,14 @@ def test_a_plan_without_known_corridors_has_no_tour(tmp_path: Path, capsys: pyte
         (["ring", "--out", "/tmp/plans.xyz"], "plans.xyz: "),
     ],
 )
-def test_bad_input_gets_one_line(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
-    assert show_plans.main(arguments) == 2
-    said = capsys.readouterr()
-    assert said.out == ""  # before the work
-    assert said.err.startswith("show_plans.py: ")
-    assert message in said.err
-    assert said.err.count("\n") == 1
+def test_bad_input_gets_one_line(arguments: list[str], message: str, refused: Refused) -> None:
+    assert message in refused(show_plans.main, arguments)
 
 
-def test_a_building_too_large_to_be_searched_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_building_too_large_to_be_searched_is_refused(tmp_path: Path, refused: Refused) -> None:
     file = tmp_path / "field.yaml"
     file.write_text("start: {x: 2, y: 2}\nexterior: [[0, 0], [9000, 0], [9000, 9000], [0, 9000]]\n")
-    assert show_plans.main([str(file)]) == 2
-    assert "too large to be searched for look-alikes" in capsys.readouterr().err
+    assert "too large to be searched for look-alikes" in refused(show_plans.main, [file])
 
 
 def test_dollars_in_a_title_are_no_formula(tmp_path: Path) -> None:

@@ -37,11 +37,8 @@ def test_episodes_that_were_cut_short_are_marked() -> None:
 
 def test_table_names_the_action_type_and_warns_of_discrete() -> None:
     wheels, discrete = evaluation(record()), evaluation(record(), action_type="discrete")
-    assert [line.split()[3] for line in format_table([wheels, discrete]).splitlines()] == [
-        "actions",
-        "wheels",
-        "discrete",
-    ]
+    lines = format_table([wheels, discrete]).splitlines()
+    assert [line.split()[3] for line in lines] == ["actions", "wheels", "discrete"]
     assert len(table_notes([wheels, discrete])) == len(table_notes([wheels])) + 1
 
 

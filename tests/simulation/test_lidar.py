@@ -123,9 +123,8 @@ def test_it_agrees_with_pymunks_segment_queries() -> None:
 
 def test_ranges_in_a_square_room_are_those_on_paper(square_room: FloorPlan) -> None:
     ranges = Scanner(square_room)(5.0, 5.0, 0.0)
-    assert ranges[[0, 90, 135]] == pytest.approx([5, 5, 5])  # ahead, behind, right
+    assert ranges[[0, 45, 90, 135]] == pytest.approx([5, 5, 5, 5])  # ahead, left, behind, right
     assert ranges[15] == pytest.approx(5 / math.cos(math.radians(30)))  # 30 degrees to the left
-    assert ranges[45] == pytest.approx(5)  # left
 
 
 def test_beam_zero_points_ahead_and_beams_go_counter_clockwise(square_room: FloorPlan) -> None:

@@ -187,15 +187,6 @@ def test_the_compass_errs_by_field_and_white_noise(preset: str, square_room: Flo
         assert np.abs(between).max() < 1e-4
 
 
-def test_the_white_noise_is_new_at_every_step() -> None:
-    env = CyclicLoopEnv("ring", noise=NoiseConfig(compass_white_deg=2))
-    env.reset(seed=0)
-    compass = np.array([env.step(np.zeros(4))[0]["compass"] for _ in range(1000)])
-    errors = np.degrees(np.arctan2(compass[:, 1], compass[:, 0]))
-    check_spread(errors, 2.0)
-    assert abs(np.corrcoef(errors[:-1], errors[1:])[0, 1]) < SURE / math.sqrt(999)
-
-
 def test_the_compass_field_is_fixed_to_the_building_and_new_in_the_next_episode() -> None:
     env = CyclicLoopEnv("ring", noise=NoiseConfig(compass_field_deg=10))
     first, _ = env.reset(seed=0)
@@ -261,13 +252,6 @@ def test_short_ranges_are_uniform_below_the_true_one_and_random_ones_up_to_the_r
     for beam in (0, 90, 179):
         check_same(readings[:, beam] / ends[beam], "uniform")
     check_same((readings / ends).ravel(), "uniform")
-
-
-@pytest.mark.parametrize(("noise", "sigma"), [({"laser_sigma": 0.03}, 0.03), ({"laser_sigma_relative": 0.035}, 0.14)])
-def test_hits_are_gaussian_with_an_absolute_or_a_relative_spread(noise: dict[str, float], sigma: float) -> None:
-    errors = readings_of(NoiseConfig(**noise), np.full(180, 4.0), 300) - 4.0
-    check_spread(errors.ravel(), sigma)
-    check_same(errors.ravel() / sigma, norm.cdf)
 
 
 def test_beams_and_robots_and_steps_err_by_themselves() -> None:

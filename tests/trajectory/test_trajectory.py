@@ -17,6 +17,7 @@ from cyclic_env import ConfigError
 from cyclic_env.trajectory.dead_reckoning import dead_reckon
 from cyclic_env.trajectory.io import write_g2o, write_tum
 from cyclic_env.trajectory.metrics import align_rigid, ate
+from tests.helpers import refused
 
 RNG = np.random.default_rng(0)
 
@@ -185,6 +186,5 @@ def test_the_file_holds_the_problem_whose_least_squares_the_explorer_takes(tmp_p
 )
 def test_bad_input_gets_one_line(call: object, message: str, tmp_path: Path) -> None:
     assert callable(call)
-    with pytest.raises(ConfigError, match=message) as caught:
+    with refused(message, ConfigError):
         call(tmp_path / "file")
-    assert "\n" not in str(caught.value)

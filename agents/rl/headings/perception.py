@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -31,7 +30,7 @@ from agents.rl.headings.tracking import (
     localize,
 )
 from agents.slam.scan_filters import despeckle, reliable_endpoints
-from cyclic_env.jit import compiled
+from cyclic_env.jit import compiled, num_cores
 
 
 class Perception:
@@ -140,11 +139,6 @@ class Perception:
 
     def __getstate__(self) -> dict[str, Any]:
         return {**self.__dict__, "_threads": None, "_scratches": []}
-
-
-def num_cores() -> int:
-    """Return how many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @compiled

@@ -5,7 +5,7 @@ spacing of the grid, the size of a room) is with that probability the building's
 for that place alone. At 1 the same corridor, block and room are everywhere, so places look alike; at 0 each is unique.
 
 Everything is drawn by ``random()`` of PCG64 in an order that the specification fixes, and rounded to the centimetre
-before any geometry. The same specification is therefore the same building in every process, on every machine, for good.
+before any geometry. A specification therefore gives the same building in every process and on every machine, for good.
 """
 
 from __future__ import annotations
@@ -38,15 +38,15 @@ WIDTH_MIN = 1.6
 SPACING, WIDTHS = (0.75, 1.4), (0.75, 1.3)
 """Least and greatest spacing of the grid and width of a corridor, as shares of `size` and `width`."""
 CUT = (0.18, 0.25)
-"""How much of the shorter corridor a cut corner removes, as a share of its length."""
+"""Share of the length of the shorter corridor that a cut corner removes."""
 DOUBLE_BLOCKS = 0.4
-"""Share of the blocks that are two joined into one, among those that are not the standard block."""
+"""Share of double blocks, which are two joined into one, among those that are not the standard block."""
 SPUR = (0.3, 0.6)
 """Length of a dead end as a share of `size`."""
 SPUR_WALL = 1.0
 """Least thickness of the wall around a dead end, metres."""
 TREE_CORRIDORS = 4
-"""Stretches of corridor in a building without cycles, dead ends aside."""
+"""Number of stretches of corridor in a building without cycles, not counting dead ends."""
 NICHE_LENGTH, NICHE_DEPTH = (1.2, 4.5), (0.6, 1.8)
 PLAIN, PILLARED = 0.25, 0.85
 """A slot with a random number below the first has a plain wall; above the second, a large niche with a pillar."""
@@ -181,7 +181,7 @@ class _Builder:
         return lines
 
     def _chances(self, share: float, count: int) -> list[tuple[bool, bool]]:
-        """Return for `count` choices whether each is the standard one, and whether a chance of `share` comes true."""
+        """Return for each of `count` choices whether it is the standard one, and the outcome of a chance of `share`."""
         return [(self.layout.chance(self.spec.aliasing), self.layout.chance(share)) for _ in range(count)]
 
     def _own_module(self) -> Module:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from cyclic_env.floor_plans.generator.spec import Draw
 
 SLOT_LENGTH = 4.0
-"""Least length of a stretch of a corridor's side that has one niche or none, metres."""
+"""Least length of a slot, a stretch of a corridor's side with at most one niche, metres."""
 MAX_SLOTS = 16
 CLEAR_OF_CROSSING = 1.5
 """Distance from a crossing, or from the end of a corridor, to the first slot, metres."""
@@ -25,10 +25,10 @@ Box = tuple[float, float, float, float]
 
 
 def grow_edges(draw: Draw, cycles: int, joined: int) -> list[Edge]:
-    """Return the edges of a connected grid with that many faces, made of so many squares and `joined` more.
+    """Return the edges of a connected grid with `cycles` faces, made of `cycles + joined` squares.
 
     Squares are added one by one beside random others, such that they never enclose a gap. Then `joined` edges between
-    two faces are removed, the smallest faces first, together with edges that lead nowhere afterwards.
+    two faces are removed, the smallest faces first, together with edges that then lead nowhere.
     """
     cells: list[Node] = [(0, 0)]
     while len(cells) < cycles + joined:
@@ -91,7 +91,7 @@ def _faces(edges: Sequence[Edge]) -> int:
 
 
 def _without_stubs(edges: list[Edge]) -> list[Edge]:
-    """Return the edges that are left when those with a dead end are removed, again and again."""
+    """Remove edges with a dead end until there are none, and return the others."""
     while True:
         nodes = [node for edge in edges for node in edge]
         kept = [edge for edge in edges if all(nodes.count(node) > 1 for node in edge)]
@@ -101,7 +101,7 @@ def _without_stubs(edges: list[Edge]) -> list[Edge]:
 
 
 class Module(NamedTuple):
-    """The appearance of a corridor, whatever its length: its width in metres, and random numbers from 0 to 1."""
+    """The appearance of a corridor of any length: its width in metres, and random numbers from 0 to 1."""
 
     width: float
     niches: list[list[list[float]]]  # (2, MAX_SLOTS, 4): side and slot; kind, length, place, depth

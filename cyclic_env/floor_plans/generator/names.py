@@ -39,7 +39,7 @@ def building_from_name(name: str) -> FloorPlan:
     Raises
     ------
     FloorPlanError
-        If a key is unknown or given twice, a value is no number or out of range, or the values contradict each other.
+        If a key is unknown or given twice, a value is not a number in range, or the values contradict each other.
     """
     try:
         first, *others = name.removeprefix(PREFIX).removeprefix(":").split(",")

@@ -12,7 +12,7 @@ from cyclic_env.errors import FloorPlanError
 from cyclic_env.validation import short_repr
 
 PREFIX = "generated"
-"""A map's name that begins with this and a colon is that of a generated building."""
+"""The name of a generated building begins with this and a colon."""
 
 SEED_MAX = 2**32 - 1
 HAND_SEED_MAX = 999_999
@@ -48,7 +48,7 @@ class BuildingSpec:
     rooms : float
         Share of the stretches of corridor between crossings that have a room, where there is space for it.
     dead_ends : int
-        Exact number of corridors that end blindly.
+        Exact number of corridors with a dead end.
     diagonal : float
         Share of the corners that are cut by a corridor at 45 degrees.
     aliasing : float

@@ -10,10 +10,10 @@ from scipy import ndimage
 from cyclic_env.floor_plans.occupancy.regions import CroppedGrid
 
 AREA_MIN = 1.0
-"""Area from which a place is listed, square metres."""
+"""Least area of a place that is listed, square metres."""
 
 SHARE = 0.1
-"""Share of the free space from which it is worth a remark that it was dropped."""
+"""Least share of the free space that is worth a remark when it is dropped."""
 
 LISTED_MAX = 3
 
@@ -43,13 +43,13 @@ class DroppedPlace(NamedTuple):
 
 
 def dropped_places(part: CroppedGrid, space: np.ndarray, glimpses: np.ndarray) -> tuple[DroppedPlace, ...]:
-    """Return the larger places of free space that are not in a plan, but for those at the image's edge, largest first.
+    """Return the larger places of free space outside a plan, largest first, without those at the image's edge.
 
     Parameters
     ----------
     part : CroppedGrid
     space, glimpses : (rows, columns) bool
-        The plan's free space, and where the robot could be in what was only looked into.
+        The plan's free space, and the robot's positions in places that were only looked into.
     """
     grid, free, corner = part
     labels, _ = ndimage.label(free & ~space)
@@ -75,7 +75,7 @@ def dropped_places(part: CroppedGrid, space: np.ndarray, glimpses: np.ndarray) -
 
 
 def dropped_remark(places: tuple[DroppedPlace, ...], plan_area: float) -> str:
-    """Say which places were dropped and how to keep them, if they are much of the free space; else nothing."""
+    """Return a remark on dropped places and how to keep them, or nothing if they are little of the free space."""
     area = sum(place.area for place in places)
     if area <= SHARE * (area + plan_area):
         return ""

@@ -1,4 +1,4 @@
-"""Occupancy grids, and floor plans drawn as such."""
+"""Occupancy grids, and the drawing of floor plans as grids."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ RESOLUTION_MIN = 1e-6
 """Metres per pixel; floor plans are written to the micrometre."""
 
 CELLS_MAX = 64_000_000
-"""Pixels of an image, such as 8,000 x 8,000; tracing them takes some 3 GB of memory."""
+"""Greatest number of pixels of an image; tracing so many takes some 3 GB of memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
 class OccupancyGrid:
-    """A map of square cells, like ``nav_msgs/OccupancyGrid``, with what else its file says.
+    """A map of square cells, like ``nav_msgs/OccupancyGrid``, with the other contents of its file.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ class OccupancyGrid:
 
 
 def check_resolution(resolution: float) -> None:
-    """Raise a `FloorPlanError` unless a pixel has a possible size in metres."""
+    """Raise a `FloorPlanError` unless the size of a pixel, in metres, is in range."""
     if not RESOLUTION_MIN <= resolution <= COORDINATE_MAX:
         raise FloorPlanError(
             f"resolution: expected metres per pixel, from {RESOLUTION_MIN:g} to {COORDINATE_MAX:g}, "
@@ -100,7 +100,7 @@ def check_resolution(resolution: float) -> None:
 
 
 def check_size(height: int, width: int) -> None:
-    """Raise a `FloorPlanError` unless an image has a possible number of pixels."""
+    """Raise a `FloorPlanError` unless the number of an image's pixels is in range."""
     if not 0 < height * width <= CELLS_MAX:
         raise FloorPlanError(
             f"the image has {width:,} x {height:,} pixels; a map has from 1 to {CELLS_MAX / 1e6:g} million: make it "
@@ -111,7 +111,7 @@ def check_size(height: int, width: int) -> None:
 def rasterize(plan: FloorPlan, resolution: float) -> OccupancyGrid:
     """Draw a floor plan as a grid: cells with their centre in free space, a wall one cell thick, unknown space beyond.
 
-    A wall too thin to contain the centre of a cell is drawn one cell thick nevertheless.
+    A wall too thin to contain the centre of a cell is still drawn one cell thick.
 
     Parameters
     ----------
@@ -122,7 +122,7 @@ def rasterize(plan: FloorPlan, resolution: float) -> OccupancyGrid:
     Raises
     ------
     FloorPlanError
-        If the resolution is out of range, or leads to too many cells or none that is free.
+        If the resolution is out of range, or gives too many cells or no free one.
     """
     check_resolution(resolution)
     west, south, east, north = plan.bounds
@@ -143,7 +143,7 @@ def rasterize(plan: FloorPlan, resolution: float) -> OccupancyGrid:
 
 
 def _inside(walls: np.ndarray, resolution: float, shape: tuple[int, int]) -> np.ndarray:
-    """Return which cells have their centre inside closed rings of walls `(W, 4)`: an odd number lies to the west."""
+    """Return which cells have their centre inside closed rings of walls `(W, 4)`: an odd number is to the west."""
     x1, y1, x2, y2 = (walls / resolution - 0.5).T  # centres of cells have integer coordinates
     first = np.ceil(np.minimum(y1, y2)).astype(int)
     count = np.ceil(np.maximum(y1, y2)).astype(int) - first  # rows first ... first + count - 1 cross the wall
@@ -156,7 +156,7 @@ def _inside(walls: np.ndarray, resolution: float, shape: tuple[int, int]) -> np.
 
 
 def _thin_walls(plan: FloorPlan, resolution: float, corner: tuple[float, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Return rows and columns of the cells on walls with free space again less than a cell behind them."""
+    """Return rows and columns of the cells on walls that have free space less than a cell behind them."""
     start, way = plan.walls[:, :2], plan.walls[:, 2:] - plan.walls[:, :2]
     length = np.hypot(*way.T)
     count = np.ceil(4 * length / resolution).astype(int)

@@ -1,4 +1,4 @@
-"""The maps of ROS' ``map_server``, a YAML file with an image: read as occupancy grids, and written."""
+"""Reading and writing of occupancy grids as maps of ROS' ``map_server``, a YAML file with an image."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ MODES = ("trinary", "scale", "raw")
 IMAGE_SUFFIXES = (".bmp", ".gif", ".jpeg", ".jpg", ".pgm", ".png", ".pnm", ".ppm", ".tif", ".tiff", ".webp")
 
 OCCUPIED_THRESH, FREE_THRESH = 0.65, 0.196
-"""The thresholds that ``map_saver`` writes; by them its grey of unknown cells, 205, is unknown."""
+"""The thresholds that ``map_saver`` writes; they make its grey of unknown cells, 205, unknown."""
 
 SHADES = {OCCUPIED: 0, UNKNOWN: 205, FREE: 254}
 """The shades in which ``map_saver`` paints cells."""
@@ -46,7 +46,7 @@ class _Reading(NamedTuple):
     negate: bool
     occupied_thresh: float
     free_thresh: float
-    on_white: bool  # what is transparent is white, as in a drawing; the alpha channel of a map has its own meaning
+    on_white: bool  # transparent pixels are white, as in a drawing; the alpha channel of a map has its own meaning
 
 
 def read_occupancy_grid(path: str | Path, resolution: float | None = None) -> OccupancyGrid:
@@ -84,11 +84,11 @@ def read_occupancy_grid(path: str | Path, resolution: float | None = None) -> Oc
 def occupancy_grid_from_mapping(data: Any, path: str | Path, *, on_white: bool = False) -> OccupancyGrid:
     """Return the grid that a mapping in the format of ``map_server`` describes.
 
-    It is read as ``nav2_map_server`` reads it, with two differences. If an image has only the shades that ``map_saver``
-    paints, its grey is unknown even under the ``free_thresh`` of 0.25 that older versions wrote, by which all unknown
-    space would be free. And the keys ``negate``, ``mode`` and the thresholds may be left out. Keys that ``map_server``
-    does not know are ignored, except ``name``, ``title``, ``source``, ``licence`` and ``start``, which mean what they
-    mean in a floor plan.
+    It is read as ``nav2_map_server`` reads it, with two differences. First, if an image has only the shades that
+    ``map_saver`` paints, its grey is unknown even with the ``free_thresh`` of 0.25 that older versions wrote, which
+    would make it free. Second, the keys ``negate``, ``mode`` and the thresholds may be left out. Keys that
+    ``map_server`` does not know are ignored, except ``name``, ``title``, ``source``, ``licence`` and ``start``, which
+    mean what they mean in a floor plan.
 
     Parameters
     ----------
@@ -161,7 +161,7 @@ def _decoded(path: Path) -> Image:
     Raises
     ------
     FloorPlanError
-        If the file is missing, is no picture, or is too large.
+        If the file is missing, not a picture, or too large.
     """
     from PIL import Image
 

@@ -11,7 +11,7 @@ from cyclic_env.jit import compiled
 
 
 def grow_back(centres: np.ndarray, free: np.ndarray, radius: float, gap: float, nook_cells: float) -> np.ndarray:
-    """Grow the space of a robot's centres back to the walls: the space that the robot covers, and nooks beside it.
+    """Grow the cells of a robot's centre back to the walls, into the cells that the robot covers and nooks beside them.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def grow_back(centres: np.ndarray, free: np.ndarray, radius: float, gap: float, 
     gap : float
         Free space narrower than this is left out.
     nook_cells : float
-        Number of cells up to which free space that the robot does not cover is a nook.
+        Greatest number of cells of a nook, free space that the robot does not cover.
 
     Returns
     -------

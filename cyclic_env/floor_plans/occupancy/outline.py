@@ -19,7 +19,7 @@ DECIMALS = 6
 
 def trace_outline(space: np.ndarray, corner: tuple[int, int]) -> Polygon:
     """Return the polygon around a connected mask, along the sides of cells, in columns and rows of the grid."""
-    # Above a half, two cells that meet in a corner are not joined, and the walls that pass there don't touch.
+    # A level above a half doesn't join two cells that meet in a corner, and the walls there don't touch.
     generator = contour_generator(z=space.astype(float), fill_type=FillType.OuterOffset)
     parts: Any = generator.filled(0.75, math.inf)
     points, offsets = (part[0] for part in parts)
@@ -44,7 +44,7 @@ def _along_sides(ring: np.ndarray, space: np.ndarray) -> np.ndarray:
 def simplify_outline(outline: Polygon, tolerance: float, grid: OccupancyGrid) -> Polygon:
     """Return an outline with fewer corners, within `tolerance` cells of the given one, in metres.
 
-    The tolerance is reduced as long as the outline would cross or touch itself. Coordinates are rounded as in files,
+    The tolerance is halved while the outline would cross or touch itself. Coordinates are rounded as in files,
     so that the outline is read back as it was written.
     """
 

@@ -1,4 +1,4 @@
-"""Which cells of a grid the centre of a robot can be in, once specks are dropped and what was only looked into.
+"""The cells of a grid that a robot's centre can reach, without specks and places that were only looked into.
 
 Lengths and areas are in cells unless stated otherwise.
 """
@@ -19,19 +19,19 @@ from cyclic_env.floor_plans.occupancy.grid import FREE_BELOW, UNKNOWN, Occupancy
 from cyclic_env.floor_plans.occupancy.morphology import dilated
 
 ENCLOSED_SHARE = 0.1
-"""A region that the image's edge does not cut is preferred to a larger one that it cuts, such as the paper around a
-drawing, down to this share of its area. So is a region with more walls to a larger one that surrounds it, such as the
-paper in the frame of a drawing."""
+"""A region with at least this share of the largest one's area is preferred to it if only the largest is cut by the
+image's edge, like the paper around a drawing, or if it lies in the largest, like a drawing in a frame, and has more
+walls."""
 
 BOUNDED_SHARE = 0.25
-"""Share of its outline from which walls make a place that was only looked into a room rather than a yard."""
+"""Least share of walls in the outline of a place that was only looked into to be a room rather than a yard."""
 
 LONE_SHARE = 0.25
-"""Share of the size of a speck from which a single group may separate two places."""
+"""Least size of a single group that may separate two places, as a share of the greatest size of a speck."""
 
 NEAR = 2.5
-"""A wall this close to the end of what was seen bounds it. Unknown space is more than twice as wide; thinner grey is
-the edge of a line."""
+"""A wall this close to the border of the space that was seen bounds it. Unknown space is more than twice as wide, since
+thinner grey is the edge of a line."""
 
 FITS_NOWHERE = "the robot fits nowhere in the map's free space; is the resolution right, or its radius too large?"
 
@@ -76,8 +76,8 @@ def drop_specks(free: np.ndarray, cells_min: float, radius: float) -> tuple[int,
     """Free the groups of fewer than `cells_min` wall cells, in place; return the number of groups and of cells.
 
     Cells of a group are at most one other cell apart, so that a wall that the laser saw as a row of dots is one group.
-    Groups that keep a robot of that radius from going from one place to another stay, such as the posts of windows,
-    except for a single group that is very small, such as noise in a doorway.
+    Groups that separate two places for a robot of that radius stay, like the posts of windows, except for a very small
+    single group, like noise in a doorway.
     """
     walls = ~free
     groups = ndimage.label(dilated(walls, 1.5), CONNECTED_8)[0]
@@ -137,9 +137,9 @@ def reachable_centres(part: CroppedGrid, radius: float, start: Pose | None) -> n
 def _building(labels: np.ndarray, sizes: np.ndarray, origin: int) -> int:
     """Return the label of the largest region, or of a better one that has more walls and is not far smaller.
 
-    A better one lies inside it: the paper between the frame of a drawing and the building is larger than the building,
-    but has fewer walls; so has a courtyard, which lies inside the building. Or it has the label `origin`, that of the
-    origin of the world, where the mapping of a race track began, with more walls than the infield.
+    A better one lies inside it: a building has more walls than the paper around it in the frame of a drawing, but also
+    more than a courtyard inside it. Or it has the label `origin`, at the origin of the world, like a race track, where
+    mapping began and which has more walls than the infield.
     """
     edge = labels[(labels > 0) & ~ndimage.binary_erosion(labels > 0)]
     walls = np.bincount(edge, minlength=len(sizes) + 1)[1:]
@@ -161,10 +161,9 @@ def _building(labels: np.ndarray, sizes: np.ndarray, origin: int) -> int:
 def drop_glimpses(centres: np.ndarray, part: CroppedGrid, radius: float, door: float, start: Pose | None) -> np.ndarray:
     """Return the centres without the places that were only looked into, behind openings narrower than a door.
 
-    A place was only looked into, a glimpse, if more of its outline is unknown than wall. It stays if it is on the way
-    to a place as wide as a door that is none, or if it joins places that stay, unless it is wide and has hardly any
-    walls, like a yard behind windows. Everything stays if the place of the start, or else the largest place, is a
-    glimpse.
+    A place is a glimpse, only looked into, if more of its outline is unknown than wall. It stays if it is on the way to
+    a wide place that is not a glimpse, or if it joins places that stay and is not wide with hardly any walls, like a
+    yard behind windows. Everything stays if the place of the start, or without a start the largest, is a glimpse.
     """
     half_door = door / 2 - radius
     if half_door < 1 or not (part.grid.cells == UNKNOWN).any():
@@ -199,7 +198,7 @@ def _places(centres: np.ndarray, half_door: float) -> tuple[np.ndarray, int, int
 def _wall_shares(
     places: np.ndarray, count: int, part: CroppedGrid, centres: np.ndarray, radius: float
 ) -> np.ndarray | None:
-    """Return the share of walls in the outline of each place; None if all grey is that of drawn lines."""
+    """Return the share of walls in the outline of each place; None if the only grey is that of drawn lines."""
     free, (row, column), (rows, columns) = part.free, part.corner, part.free.shape
     cells = np.pad(part.grid.cells, 1)[row + 1 : row + 1 + rows, column + 1 : column + 1 + columns]
     unseen = cells == UNKNOWN
@@ -222,8 +221,8 @@ def _neighbours(places: np.ndarray) -> np.ndarray:
 
 
 def _on_the_way(pairs: np.ndarray, glimpse: np.ndarray, home: int, count_wide: int) -> np.ndarray:
-    """Return which places are reached from home, through as few glimpses as it takes to reach wide ones with walls."""
-    from scipy.sparse import csr_array  # takes a tenth of a second that maps without unknown space don't need
+    """Return which places are reached from home without glimpses, or lead to wide places by the fewest glimpses."""
+    from scipy.sparse import csr_array  # slow to import, and only some maps need it
     from scipy.sparse.csgraph import dijkstra
 
     count = len(glimpse) - 1
@@ -241,8 +240,8 @@ def _on_the_way(pairs: np.ndarray, glimpse: np.ndarray, home: int, count_wide: i
 def _joining(places: np.ndarray, pairs: np.ndarray, kept: np.ndarray, through: np.ndarray) -> np.ndarray:
     """Return which other places, among those that can be driven `through`, lead from kept ones back to kept ones.
 
-    They do if they lie on a cycle of the graph of places in which all kept ones are a single node: not dead ends. Where
-    a place meets kept ones at two separate stretches of its outline, each of these is a node as well.
+    A place does if it is on a cycle of the graph of places in which all kept ones are one node. Each separate stretch
+    of its outline along which a place meets kept ones is a node, too.
     """
     import networkx as nx
 

@@ -2,9 +2,9 @@
 
 Free space is 4-connected and walls are 8-connected, so that a wall one cell thick with diagonal steps is tight. What
 the robot can reach is found by its centre: cells that are a radius away from every wall, connected with the start. From
-these the space is grown back to the walls cell by cell, such that it never meets itself. So the plan has a hole for
-each obstacle, or group of obstacles, that the robot can drive around, and no other holes: where the robot does not fit
-between two walls, they are joined.
+these the space is grown back to the walls cell by cell, such that it never meets itself. The plan thus has a hole for
+each obstacle, or group of obstacles, that the robot can drive around, and no other holes: two walls between which the
+robot does not fit are joined.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ from cyclic_env.jit import compile_notice
 from cyclic_env.validation import short_repr
 
 CLEARANCE = 0.5
-"""Least distance between the robot and the centre of a wall's cell, in cells: half a cell keeps it off the side."""
+"""Least distance between the robot and the centre of a wall's cell, in cells; half a cell is up to the wall's side."""
 
 ROUNDS = 4
-"""Number of attempts. Where the robot does not pass through the simplified plan, wider passages are closed with each
-attempt, in the last one all that simplified walls may narrow too much: each by the tolerance and a cell's corner."""
+"""Number of attempts. If the robot does not pass everywhere in the simplified plan, each attempt closes wider passages;
+the last one closes all that two simplified walls may narrow too much, each by the tolerance and a cell's corner."""
 
 HEADINGS = 72
 """Number of headings among which that of the start is chosen."""
 
 
-STAGES = ("dropping specks", "what the robot reaches", "what was only looked into", "growing to the walls", "outline")
+STAGES = ("dropping specks", "reaching cells", "dropping glimpses", "growing to the walls", "tracing the outline")
 
 
 class _Sizes(NamedTuple):
-    """The arguments of `trace_floor_plan` that say what is traced for which robot, metres and square metres."""
+    """The numeric arguments of `trace_floor_plan`, metres and square metres."""
 
     robot_radius: float
     speck_area: float

@@ -24,7 +24,7 @@ SUFFIXES = {
     ".db3": "ROS 2",
     ".mcap": "ROS 2",
 }
-"""Suffixes of known files, and where they come from. A ROS 2 bag is a folder with a ``metadata.yaml``."""
+"""Suffixes of known files, and their formats. A ROS 2 bag is a folder with a ``metadata.yaml``."""
 
 
 def read_robot_log(path: str | Path, *, range_max: float | None = None, bag: BagOptions | None = None) -> RobotLog:
@@ -38,9 +38,9 @@ def read_robot_log(path: str | Path, *, range_max: float | None = None, bag: Bag
         whose sequential edges are the odometry and whose vertices are the reference; a ROS 1 ``.bag`` or a ROS 2 bag
         (its folder, ``.db3`` or ``.mcap``), which needs the extra ``logs``.
     range_max : float, optional
-        Readings from this range on, in metres, are no hits. Default: the laser's own limit, if the log states it.
+        Readings of this range, in metres, or more count as no hit. Default: the laser's limit, if the log states it.
     bag : BagOptions, optional
-        Topics, and where the laser is mounted, for bags that don't say.
+        The topics and the laser's mounting, for bags that don't state them.
 
     Raises
     ------

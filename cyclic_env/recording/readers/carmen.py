@@ -18,13 +18,13 @@ from cyclic_env.recording.robot_log import RobotLog, laser_of_beams
 from cyclic_env.trajectory.poses import interpolate, relative
 
 SCANS = ("ROBOTLASER1", "FLASER", "RAWLASER1")
-"""Messages of the front laser. If a log has several kinds, the first of this order is read."""
+"""Messages of the front laser. If a log has several kinds, the first in this order is read."""
 
 FLASER_RANGE_MAX = 80.0
 """Metres. FLASER doesn't state the limit of its laser; a SICK LMS reads 81.83 m where it sees nothing."""
 
 MOUNTING_TOLERANCE = 0.01
-"""Metres and radians. If the laser's pose in the robot's frame varies by more, it is a corrected pose of the robot."""
+"""Metres and radians. A laser's pose in the robot's frame that varies by more counts as the robot's corrected pose."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class LaserScan:
     time : float
     ranges : list of float
     start, spacing : float
-        Angle of beam 0 in the laser's frame and from each beam to the next, radians.
+        Angles of beam 0 in the laser's frame, and from each beam to the next, radians.
     range_max : float
     laser_pose, robot_pose : (x, y, heading), or None
     """
@@ -122,7 +122,7 @@ def log_of_scans(
     odometry: np.ndarray | None = None,
     reference: np.ndarray | None = None,
 ) -> RobotLog:
-    """Return the log of scans that are alike; without `odometry`, the scans' own robot poses are it."""
+    """Return the log of scans with equal beams; `odometry` defaults to the robot poses in the scans."""
     if not scans:
         raise RecordingError("holds no scans within the time of its odometry.")
     first = scans[0]

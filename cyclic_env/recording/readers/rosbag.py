@@ -23,7 +23,7 @@ Frames = dict[str, tuple[str, np.ndarray]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BagOptions:
-    """What a bag may not say.
+    """What a bag may leave open.
 
     Attributes
     ----------
@@ -82,7 +82,7 @@ def _log(
     flipped: bool,
     range_max: float | None,
 ) -> RobotLog:
-    """Return the log of LaserScan messages, those within the time of the odometry."""
+    """Return the log of the LaserScan messages within the time of the odometry."""
     stamps, poses = odometry
     scans = [scan for scan in scans if stamps[0] <= _seconds(scan.header.stamp) <= stamps[-1]]
     if not scans:
@@ -93,7 +93,7 @@ def _log(
             raise RecordingError(f"scan {i} has {len(scan.ranges)} beams, or other angles than the first scan.")
     ranges = np.array([scan.ranges for scan in scans], np.float32)
     ranges[~(ranges >= first.range_min)] = NO_HIT
-    side = -1 if flipped else 1  # hanging upside down, the laser turns the other way
+    side = -1 if flipped else 1  # a laser that hangs upside down turns the other way
     start, spacing = side * float(first.angle_min) + mounting[2], side * float(first.angle_increment)
     ranges, laser = laser_of_beams(ranges, start, spacing, range_max or float(first.range_max))
     times = np.array([_seconds(scan.header.stamp) for scan in scans])
@@ -108,7 +108,7 @@ def _log(
 
 
 def _messages(reader: Any, kind: str, topic: str | None, *, required: bool = True) -> Iterator[tuple[str, Any]]:
-    """Yield the topic and the message of all messages of a type, of one topic."""
+    """Yield each message of a type, with its topic, from the topic given or the only one."""
     topics = sorted({connection.topic for connection in reader.connections if connection.msgtype == kind})
     short = kind.rpartition("/")[2]
     if topic is not None and topic not in topics:
@@ -158,7 +158,7 @@ def _pose_in(frames: Frames, frame: str, base: str) -> np.ndarray:
     common = next((name for name in to_root[frame] if name in to_root[base]), None)
     if common is None:
         raise RecordingError(
-            f"its tf doesn't connect the laser ({frame!r}) with the robot ({base!r}); say where the laser is mounted."
+            f"its tf doesn't connect the laser ({frame!r}) with the robot ({base!r}); give the laser's mounting."
         )
     return np.linalg.inv(to_root[base][common]) @ to_root[frame][common]
 

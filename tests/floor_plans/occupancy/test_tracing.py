@@ -11,13 +11,11 @@ import pytest
 import shapely
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import ndimage
 from shapely import Point
 
 from cyclic_env import CyclicLoopEnv
 from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans import load_floor_plan, read_floor_plan, trace_floor_plan, write_floor_plan
-from cyclic_env.floor_plans.occupancy.morphology import dilated, grow_back
 from tests.floor_plans.occupancy.drawing import (
     RESOLUTION,
     box,
@@ -37,12 +35,17 @@ def test_a_hall_has_four_walls() -> None:
     assert plan.bounds == pytest.approx((0, 0, 8, 6), abs=0.01)
 
 
-def test_rough_walls_become_straight_ones() -> None:
-    cells = floor(30, 2.4)
+def rough_hall(height: float) -> np.ndarray:
+    """Return the cells of a hall 30 m long with rough walls in the south and the north."""
+    cells = floor(30, height)
     rough = np.random.default_rng(0).integers(0, 2, (2, 600)).astype(bool)
     cells[20, 20:-20][rough[0]] = 100
     cells[-21, 20:-20][rough[1]] = 100
-    assert len(traced(cells).walls) <= 12
+    return cells
+
+
+def test_rough_walls_become_straight_ones() -> None:
+    assert len(traced(rough_hall(2.4)).walls) <= 12
 
 
 def test_unknown_space_is_closed() -> None:
@@ -72,17 +75,11 @@ def test_a_row_of_dots_is_a_wall() -> None:
     assert traced(cells).bounds == pytest.approx((0, 0, 4, 6), abs=0.01)  # the larger part
 
 
-def windows() -> np.ndarray:
-    """Return the cells of a hall, 5 m x 6 m, that is parted from what is beyond by posts 0.4 m apart."""
+def test_posts_that_hold_two_places_apart_are_no_specks_and_windows_are_closed() -> None:
     cells = floor(8, 6)
     for y in np.arange(0.0, 6.0, 0.55):
-        box(cells, 5, y + 0.4, 0.15, 0.15)
-    return cells
-
-
-def test_posts_that_hold_two_places_apart_are_no_specks_and_windows_are_closed() -> None:
-    plan = traced(windows())
-    assert plan.bounds == pytest.approx((0, 0, 5.15, 6), abs=0.15)
+        box(cells, 5, y + 0.4, 0.15, 0.15)  # posts 0.4 m apart
+    assert traced(cells).bounds == pytest.approx((0, 0, 5.15, 6), abs=0.15)
 
 
 def test_noise_in_a_doorway_does_not_close_it_but_a_post_does() -> None:
@@ -155,10 +152,7 @@ def test_whatever_is_traced_is_read_back_as_it_was(tmp_path_factory: pytest.Temp
 
 
 def test_walls_that_meet_in_corners_do_not_keep_others_from_being_straight() -> None:
-    cells = floor(30, 12)
-    rough = np.random.default_rng(0).integers(0, 2, (2, 600)).astype(bool)
-    cells[20, 20:-20][rough[0]] = 100
-    cells[-21, 20:-20][rough[1]] = 100
+    cells = rough_hall(12)
     for i in range(20, 580, 20):  # short walls along the grid, and steps off their ends
         box(cells, i * RESOLUTION, 4, 0.5, 0.05)
         cells[101 + 20 - 20 + np.arange(8), 30 + i + np.arange(8)] = 100
@@ -201,33 +195,6 @@ def test_other_tolerances_give_more_walls_or_fewer() -> None:
     cells[np.hypot(rows - 80, columns - 100) < 25] = 100
     fine, usual, crude = (len(traced(cells, tolerance=tolerance).walls) for tolerance in (0.02, None, 0.2))
     assert fine > usual > crude >= 7
-
-
-def count_holes(mask: np.ndarray) -> int:
-    return ndimage.label(~np.pad(mask, 1), np.ones((3, 3)))[1] - 1
-
-
-@settings(max_examples=60, deadline=None)
-@given(st.integers(0, 2**32 - 1), st.floats(0.005, 0.08))
-def test_growing_back_to_the_walls_keeps_holes_and_makes_none(seed: int, density: float) -> None:
-    rng = np.random.default_rng(seed)
-    free = np.pad(rng.random((60, 80)) > density, 1)
-    labels = ndimage.label(~dilated(~free, 3.5))[0]
-    if not labels.any():
-        return
-    centres = labels == 1 + np.argmax(np.bincount(labels.ravel())[1:])
-    space = grow_back(centres, free, 3.5, 2.0, 50.0)
-    assert (space | centres == space).all()
-    assert not (space & ~free).any()
-    assert ndimage.label(space)[1] == 1
-    assert count_holes(space) == count_holes(centres)
-
-
-@given(st.integers(0, 2**32 - 1), st.floats(0.8, 9.0))
-def test_discs_are_as_large_as_distances_say(seed: int, radius: float) -> None:
-    mask = np.random.default_rng(seed).random((30, 40)) < 0.02
-    mask[3, 4] = True
-    assert (dilated(mask, radius) == (ndimage.distance_transform_edt(~mask) < radius)).all()
 
 
 @settings(max_examples=25, deadline=None)
