@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,6 @@ from typing import Any
 from agents.registry import agent_names, make_agent
 from agents.rl import require_learning
 from cyclic_env import CyclicLoopVectorEnv
-from cyclic_env.config import ActionType, noise_from_name
 from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation.rollout import Policy, checked_seeds, evaluate
 from cyclic_env.evaluation.statistics import Evaluation
@@ -26,12 +26,12 @@ class Contestant:
 
     name: str
     policy: Policy
-    action_type: ActionType
+    action_type: str
     map_name: tuple[str, ...]
     """What it was trained on; empty for an agent that was not."""
 
 
-def load_contestant(name: str, action_type: ActionType | None = None) -> Contestant:
+def load_contestant(name: str, action_type: str | None = None, **settings: Any) -> Contestant:
     """Return the agent of that name, or the model in that file or folder.
 
     Parameters
@@ -39,17 +39,19 @@ def load_contestant(name: str, action_type: ActionType | None = None) -> Contest
     name : str
     action_type : str, optional
         By default that which the model was trained with, or ``"wheels"``.
+    settings
+        Of the environment, as for `CyclicLoopEnv`: the agent is made for its laser and its robot.
 
     Raises
     ------
     ConfigError
-        If there is no such agent or file, the file is no model, or the model was trained with other actions.
+        If there is no such agent or file, the file is no model, or the model was trained with other actions or sensors.
     """
     if name in agent_names():
-        action_type = action_type or "wheels"
-        return Contestant(
-            name=name, policy=make_agent(name, action_type=action_type), action_type=action_type, map_name=()
-        )
+        settings["action_type"] = action_type or "wheels"
+        with closing(CyclicLoopVectorEnv(1, **settings)) as env:
+            policy = make_agent(name, env)
+            return Contestant(name=name, policy=policy, action_type=env.config.action_type, map_name=())
     path = Path(name)
     if not path.exists():
         if path.suffix == ".zip" or len(path.parts) > 1:
@@ -61,28 +63,28 @@ def load_contestant(name: str, action_type: ActionType | None = None) -> Contest
     from agents.rl.storage import check_fits, load_trained
 
     trained = load_trained(path)
-    task = trained.settings.task if trained.settings else "cyclic_loop"
     its_type = trained.settings.action_type if trained.settings else None
     if action_type and its_type and action_type != its_type:
         raise ConfigError(f"{name} was trained with action type {its_type!r}, not {action_type!r}.")
-    action_type = action_type or its_type or "wheels"
-    make_env = CyclicLoopHeadingsVectorEnv if task == "headings" else CyclicLoopVectorEnv
-    trial = make_env(1, "ring", action_type=action_type)
-    check_fits(path, trained.model, trial.single_observation_space, trial.single_action_space)
-    trial.close()
-    policy = HeadingsAgent(trained.model) if task == "headings" else trained.model
+    headings = trained.settings is not None and trained.settings.task == "headings"
+    settings["action_type"] = action_type or its_type or "wheels"
+    with closing((CyclicLoopHeadingsVectorEnv if headings else CyclicLoopVectorEnv)(1, **settings)) as env:
+        check_fits(path, trained.model, env.single_observation_space, env.single_action_space)
+    policy: Policy = trained.model
+    if isinstance(env, CyclicLoopHeadingsVectorEnv):
+        policy = HeadingsAgent(trained.model, env.perception.rules)
     map_name = trained.settings.map_name if trained.settings else ()
-    return Contestant(name=name, policy=policy, action_type=action_type, map_name=map_name)
+    return Contestant(name=name, policy=policy, action_type=settings["action_type"], map_name=map_name)
 
 
 def compare(
     names: Sequence[str],
     *,
     maps: Sequence[str] = (),
-    action_type: ActionType | None = None,
-    noise: str = "ideal",
+    action_type: str | None = None,
     seeds: Iterable[int] = range(10),
-    **settings: Any,
+    settings: Mapping[str, Any] | None = None,
+    **options: Any,
 ) -> Iterator[Evaluation]:
     """Evaluate several agents on the same maps with the same seeds, and yield each evaluation as it ends.
 
@@ -94,31 +96,23 @@ def compare(
         By default what the models among the agents were trained on; without models, Killian Court.
     action_type : str, optional
         As for `load_contestant`.
-    noise, seeds, settings
+    seeds, options
         As for `cyclic_env.evaluation.rollout.evaluate`.
+    settings : mapping, optional
+        All other settings of the environment, as for `CyclicLoopEnv`.
 
     Raises
     ------
     ConfigError, FloorPlanError
         Before anything is run, if any of the arguments doesn't fit.
     """
-    noise_from_name(noise)
-    seeds = checked_seeds(seeds)
-    contestants = [load_contestant(name, action_type) for name in names]
-    trained_on = {entry.map_name for entry in contestants if entry.map_name}
-    if not maps:
-        if len(trained_on) > 1:
-            raise ConfigError("the models were trained on different maps; say with --map on which to compare them.")
-        maps = next(iter(trained_on), (DEFAULT_MAP,))
+    seeds, settings = checked_seeds(seeds), dict(settings or {})
     pools = [load_floor_plans(map_name) for map_name in maps]
-    for pool in pools:
+    contestants = [load_contestant(name, action_type, **settings, map_name=DEFAULT_MAP) for name in names]
+    trained_on = {entry.map_name for entry in contestants if entry.map_name}
+    if len(trained_on) > 1 and not pools:
+        raise ConfigError("the models were trained on different maps; say with --map on which to compare them.")
+    for pool in pools or [load_floor_plans(name) for name in next(iter(trained_on), (DEFAULT_MAP,))]:
         for entry in contestants:
-            yield evaluate(
-                entry.policy,
-                agent=entry.name,
-                seeds=seeds,
-                map_name=pool,
-                noise=noise,
-                action_type=entry.action_type,
-                **settings,
-            )
+            settings["action_type"] = entry.action_type
+            yield evaluate(entry.policy, agent=entry.name, seeds=seeds, map_name=pool, **settings, **options)

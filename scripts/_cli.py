@@ -18,6 +18,7 @@ from __future__ import annotations
 import contextlib
 import functools
 import importlib
+import importlib.util
 import os
 import signal
 import sys
@@ -25,13 +26,18 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn, TextIO
+from typing import TYPE_CHECKING, Any, NoReturn, TextIO, TypeVar
 
 if TYPE_CHECKING:
     from tqdm import tqdm
 
+T = TypeVar("T")
+
 SIGNALS = [getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)]
 """What interrupts a command: Ctrl-C, ``kill``, and a terminal that is closed."""
+
+PACKAGES = ("pandas", "tabulate", "tqdm", "tyro")
+"""Packages of the extra ``cli``."""
 
 REPORT_S = 30.0
 """Seconds between two lines of progress in a log file."""
@@ -54,6 +60,9 @@ def run_script(file: str) -> NoReturn:
     for stream in (sys.stdout, sys.stderr):
         stream.reconfigure(errors="backslashreplace")  # pyright: ignore[reportAttributeAccessIssue] (file names can be any bytes)
     sys.stdout, sys.stderr = _LastingStream(sys.stdout), _LastingStream(sys.stderr)  # pyright: ignore[reportAttributeAccessIssue]
+    missing = [package for package in PACKAGES if importlib.util.find_spec(package) is None]
+    if missing:
+        sys.exit(f'{name}.py: {", ".join(missing)} is missing: pip install -e ".[cli]" in the checkout.')
     main = importlib.import_module(f"scripts.{name}").main
     _handle_signals(_interrupt)
     sys.unraisablehook = _send_again
@@ -109,26 +118,41 @@ class _LastingStream:
         return getattr(self._stream, name)
 
 
-def command(main: Callable[[Sequence[str] | None], int | None]) -> Callable[..., int]:
-    """Make a command of a function that takes the arguments: return its exit code, and print one line for an error."""
-    name = Path(main.__code__.co_filename).name
+def command(options: type[T], examples: str = "") -> Callable[[Callable[[T], int | None]], Callable[..., int]]:
+    """Make a command of a function that takes the options: parse, return an exit code, print one line for an error.
 
-    @functools.wraps(main)
-    def run(arguments: Sequence[str] | None = None) -> int:
-        from cyclic_env.errors import CyclicLoopError
+    Parameters
+    ----------
+    options : type
+        A dataclass, whose fields are the options.
+    examples : str
+        Shown by ``--help`` below the docstring of the script.
+    """
 
-        try:
-            return main(arguments) or 0
-        except (CyclicLoopError, OSError, MemoryError) as error:
-            message, code = str(error) or type(error).__name__, 2
-        except Stopped as stop:
-            message, code = f"stopped; {stop}", 128 + stop.signum
-        except KeyboardInterrupt as interrupt:
-            message, code = "stopped.", 128 + _signal_of(interrupt)
-        print(f"{name}: {message}", file=sys.stderr)
-        return code
+    def decorate(main: Callable[[T], int | None]) -> Callable[..., int]:
+        name = Path(main.__code__.co_filename).name
+        description = f"{sys.modules[main.__module__].__doc__}\n\n{examples}".strip()
 
-    return run
+        @functools.wraps(main)
+        def run(arguments: Sequence[str] | None = None) -> int:
+            from cyclic_env.errors import CyclicLoopError
+
+            try:
+                from scripts._arguments import parse
+
+                return main(parse(options, arguments, name, description)) or 0
+            except (CyclicLoopError, OSError, MemoryError) as error:
+                message, code = str(error) or type(error).__name__, 2
+            except Stopped as stop:
+                message, code = f"stopped; {stop}", 128 + stop.signum
+            except KeyboardInterrupt as interrupt:
+                message, code = "stopped.", 128 + _signal_of(interrupt)
+            print(f"{name}: {message}", file=sys.stderr)
+            return code
+
+        return run
+
+    return decorate
 
 
 class Stopped(Exception):

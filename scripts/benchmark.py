@@ -12,7 +12,6 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
 import json
 import math
 import os
@@ -21,7 +20,8 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -41,6 +41,7 @@ from cyclic_env.simulation.lidar import laser_beams, scan, scan_row
 from cyclic_env.simulation.physics import Simulation
 from cyclic_env.simulation.wall_index import build_wall_index
 from cyclic_env.task.path_history import allocate_memory
+from scripts._arguments import Flag, OptionalFile
 from scripts._cli import command, interruptible
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -412,14 +413,21 @@ def measure_walls(steps: int) -> Iterator[Row]:
         yield Row("walls", f"{name}: least clearance, {contacts} contacts", clearance, "m", least=0.19)
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    json: OptionalFile = None
+    """write the results there as well"""
+    quick: Flag = False
+    """fewer steps"""
+    walls: Flag = False
+    """only drive 10^6 steps into walls on every plan"""
+
+
+@command(Options)
+def main(args: Options) -> None:
     """Run the measurements and print them as they come."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the results there as well")
-    parser.add_argument("--quick", action="store_true", help="fewer steps")
-    parser.add_argument("--walls", action="store_true", help="only drive 10^6 steps into walls on every plan")
-    args = parser.parse_args(arguments)
     if args.json:
         check_writable(args.json)
     measurements: list[Callable[[], Iterator[Row]]] = [

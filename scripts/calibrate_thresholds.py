@@ -7,7 +7,6 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
 import itertools
 import json
 import multiprocessing
@@ -33,7 +32,7 @@ from cyclic_env.task.judgement import true_returns
 from cyclic_env.task.loop_closure import ELSEWHERE, RETURNS
 from scripts._cli import command, progress_bar
 
-PLANS, PROCESSES_MAX = 20, 64
+PROCESSES_MAX = 64
 NOISES = ("ideal", "calibrated")
 DETECTORS = {"both": CombinedDetector, "knn": AppearanceDetector}
 REWARD = RewardConfig()
@@ -130,14 +129,21 @@ def calibrate(runs: Sequence[TrainingRun]) -> dict[str, dict[str, dict[str, floa
     return result
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    plans: int = 20
+    """number of plans of the train split"""
+    out: Path = THRESHOLDS
+    """file to write; by default the explorer's own"""
+    processes: int = 2
+    """how many runs at once"""
+
+
+@command(Options)
+def main(args: Options) -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--plans", type=int, default=PLANS, help=f"how many of the train split (default {PLANS})")
-    parser.add_argument("--out", type=Path, default=THRESHOLDS, help="file to write (default the explorer's own)")
-    parser.add_argument("--processes", type=int, default=2, help="at once (default 2)")
-    args = parser.parse_args(arguments)
     most = SPLITS["train"].plans
     if not 1 <= args.plans <= most:
         raise ConfigError(f"--plans is {args.plans}; expected 1 to {most}, the plans of the train split.")

@@ -7,12 +7,15 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
 import json
 import re
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 from itertools import groupby
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
 
 from agents import agent_names, baseline_names
 from agents.comparison import compare
@@ -21,6 +24,7 @@ from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation.statistics import Evaluation
 from cyclic_env.floor_plans import separate_names
+from scripts._arguments import EnvArguments, EnvOptions, Flag, OptionalFile, OptionalInt, OptionalText, noise_presets
 from scripts._cli import command, interruptible, progress_bar
 from scripts._tables import format_table, table_notes
 
@@ -36,38 +40,40 @@ The agents see the same episodes: episode i is that of seed i. With ideal sensor
 for agents that don't draw: give --noise or --random-start."""
 
 
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Return the options of a command line."""
-    parser = argparse.ArgumentParser(
-        description=__doc__,
-        epilog=EXAMPLES.format(names=", ".join(agent_names())),
-        formatter_class=argparse.RawDescriptionHelpFormatter,
-    )
-    parser.add_argument("agents", nargs="*", metavar="MODEL_OR_NAME", help="zip or folder of a model, or agent by name")
-    parser.add_argument("--all-baselines", action="store_true", help="all that know nothing, on all shipped plans")
-    parser.add_argument(
-        "--map", help="floor plan, or several with commas between (default: the model's, or killian_court)"
-    )
-    parser.add_argument("--noise", default="ideal", help="ideal, calibrated, typical or poor (default ideal)")
-    parser.add_argument("--action-type", help="wheels, twist or discrete (default: the model's, or wheels)")
-    parser.add_argument("--random-start", action="store_true", help="draw the starts (default: the plan's own)")
-    parser.add_argument("--episodes", type=int, help="how many, with seeds 0, 1, 2 ... (default 10)")
-    parser.add_argument("--seeds", help="A:B, the seeds from A to B - 1, in place of --episodes")
-    parser.add_argument(
-        "--every-plan", action="store_true", help="a pool's plans in turn, seed s on plan s (default: drawn)"
-    )
-    parser.add_argument("--step-budget", type=int, help="longest episode (default: what the plan needs)")
-    parser.add_argument("--num-envs", type=int, help="most episodes at once (default 16)")
-    parser.add_argument("--stochastic", action="store_true", help="let models draw their actions")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write all episodes and the summary to a file")
-    parser.add_argument("--markdown", action="store_true", help="print the tables for a document")
-    return parser.parse_args(arguments)
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    agents: Annotated[tuple[str, ...], Positional, arg(metavar="[MODEL_OR_NAME ...]", help_behavior_hint="")] = ()
+    """zip or folder of a model, or agent by name"""
+    all_baselines: Flag = False
+    """all that know nothing, on all shipped plans"""
+    map: OptionalText = None
+    """floor plan, or several with commas between (default: the model's, or killian_court)"""
+    noise: str = "ideal"
+    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one"""
+    action_type: OptionalText = None
+    """wheels, twist or discrete (default: the model's, or wheels)"""
+    episodes: OptionalInt = None
+    """how many, with seeds 0, 1, 2 ... (default: 10)"""
+    seeds: OptionalText = None
+    """A:B, the seeds from A to B - 1, in place of --episodes"""
+    every_plan: Flag = False
+    """a pool's plans in turn, seed s on plan s (default: drawn)"""
+    num_envs: OptionalInt = None
+    """most episodes at once (default: 16)"""
+    stochastic: Flag = False
+    """let models draw their actions"""
+    json: OptionalFile = None
+    """write all episodes and the summary to a file"""
+    markdown: Flag = False
+    """print the tables for a document"""
+    env: EnvOptions = field(default_factory=EnvArguments)
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@command(Options, EXAMPLES.format(names=", ".join(agent_names())))
+def main(args: Options) -> None:
     """Run the command."""
-    args = parse(arguments)
     evaluations: list[Evaluation] = []
     steps = 0
 
@@ -100,7 +106,7 @@ def main(arguments: Sequence[str] | None) -> None:
         raise interruption.stopped(f"the {count} episodes that had ended are above{kept}.")
 
 
-def chosen_evaluations(args: argparse.Namespace, on_step: Callable[[Evaluation], None]) -> Iterator[Evaluation]:
+def chosen_evaluations(args: Options, on_step: Callable[[Evaluation], None]) -> Iterator[Evaluation]:
     """Yield the evaluations that the command line asks for, as they end.
 
     Raises
@@ -116,14 +122,12 @@ def chosen_evaluations(args: argparse.Namespace, on_step: Callable[[Evaluation],
         baseline_names() if args.all_baselines else args.agents,
         maps=separate_names(args.map) if args.map is not None else map_names() if args.all_baselines else (),
         action_type=args.action_type,
-        noise=args.noise,
         seeds=parse_seeds(args.seeds, args.episodes),
-        random_start=args.random_start,
-        step_budget=args.step_budget,
         num_envs=args.num_envs,
         every_plan=args.every_plan,
         deterministic=not args.stochastic,
         on_step=on_step,
+        settings={"noise": noise_presets(args.noise), **args.env.settings()},
     )
 
 

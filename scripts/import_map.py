@@ -7,14 +7,15 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated, Any
 
 import numpy as np
+from tyro.conf import Positional, arg
 
 from cyclic_env import CyclicLoopError
 from cyclic_env.atomic_write import atomic_write, check_outputs
@@ -37,6 +38,7 @@ from cyclic_env.floor_plans.occupancy.tracing import STAGES
 from cyclic_env.floor_plans.yaml_io import name_of, read_yaml
 from cyclic_env.rendering.colors import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
 from cyclic_env.validation import short_repr
+from scripts._arguments import OptionalFile, OptionalFloat, OptionalFolder
 from scripts._cli import command, progress_bar
 
 EXAMPLES = """examples:
@@ -44,42 +46,52 @@ EXAMPLES = """examples:
   python scripts/import_map.py drawing.png --resolution 0.02 --start 3.5 2 1.57 --out my_plan.yaml
   python scripts/import_map.py killian_court --export out/maps --resolution 0.05"""
 
-SIZES = {
-    "robot_radius": "metres; radius of the robot that must pass (default 0.25)",
-    "speck_area": "m2; isolated specks of wall smaller than this are dropped (default 0.04)",
-    "gap": "metres; free space narrower than this is closed (default 0.2)",
-    "nook_area": "m2; free space that the robot only sees into is kept up to this size (default 0.5)",
-    "door": "metres; what was only looked into through openings narrower than this is closed (default 1.2)",
-    "tolerance": "metres by which simplified walls may differ from the map (default 1.5 pixels)",
-}
+SIZES = ("robot_radius", "speck_area", "gap", "nook_area", "door", "tolerance")
+"""Options of `trace_floor_plan`."""
 DOUBTFUL_SHARE = 0.25
 """Share of the plan's area from which light grey cells are mentioned."""
 FIGURE_DPI = 130
 EXPORT_RESOLUTION = 0.05
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    input: Annotated[str, Positional, arg(metavar="INPUT")]
+    """YAML file of a map, a picture with dark walls, or a floor plan to export"""
+    out: OptionalFile = None
+    """write the floor plan as YAML"""
+    figure: OptionalFile = None
+    """draw the map beside the floor plan"""
+    export: OptionalFolder = None
+    """write the floor plan as a map of map_server"""
+    resolution: OptionalFloat = None
+    """metres per pixel of a picture, or of --export (default: 0.05)"""
+    start: Annotated[tuple[float, float, float] | None, arg(metavar="X Y HEADING", help_behavior_hint="")] = None
+    """metres and radians"""
+    robot_radius: OptionalFloat = None
+    """metres; radius of the robot that must pass (default: 0.25)"""
+    speck_area: OptionalFloat = None
+    """m2; isolated specks of wall smaller than this are dropped (default: 0.04)"""
+    gap: OptionalFloat = None
+    """metres; free space narrower than this is closed (default: 0.2)"""
+    nook_area: OptionalFloat = None
+    """m2; free space that the robot only sees into is kept up to this size (default: 0.5)"""
+    door: OptionalFloat = None
+    """metres; what was only looked into through openings narrower than this is closed (default: 1.2)"""
+    tolerance: OptionalFloat = None
+    """metres by which simplified walls may differ from the map (default: 1.5 pixels)"""
+
+
+@command(Options, EXAMPLES)
+def main(args: Options) -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("input", help="YAML file of a map, a picture with dark walls, or a floor plan to export")
-    parser.add_argument("--out", type=Path, metavar="FILE", help="write the floor plan as YAML")
-    parser.add_argument("--figure", type=Path, metavar="FILE", help="draw the map beside the floor plan")
-    parser.add_argument("--export", type=Path, metavar="FOLDER", help="write the floor plan as a map of map_server")
-    parser.add_argument(
-        "--resolution", type=float, metavar="M", help="metres per pixel of a picture, or of --export (default 0.05)"
-    )
-    parser.add_argument("--start", type=float, nargs=3, metavar=("X", "Y", "HEADING"), help="metres and radians")
-    for name, text in SIZES.items():
-        parser.add_argument(f"--{name.replace('_', '-')}", type=float, metavar="N", help=text)
-    args = parser.parse_args(arguments)
     written = run(args)
     print(f"\nwritten: {', '.join(map(str, written))}" if written else "\nnothing written; give --out, to keep it")
 
 
-def run(args: argparse.Namespace) -> list[Path]:
+def run(args: Options) -> list[Path]:
     """Do what the command line asks for; return the files written.
 
     Raises
@@ -101,7 +113,7 @@ def run(args: argparse.Namespace) -> list[Path]:
             raise ConfigError(f"{args.input} is a floor plan already: give --export, and with it --resolution at most.")
         plan, grid, image = load_floor_plan(args.input), None, []
         print(table(plan))
-    exports = check_export(plan, args, [source, *image]) if args.export else []
+    exports = check_export(plan, args, args.export, [source, *image]) if args.export else []
     exported = rasterize(plan, export_resolution(args, grid)) if args.export else None
     if exported is not None:
         share = exported.free.sum() * exported.resolution**2 / plan.free_area
@@ -118,7 +130,7 @@ def run(args: argparse.Namespace) -> list[Path]:
     return [*filter(None, (args.out, args.figure)), *exports]
 
 
-def import_plan(args: argparse.Namespace) -> tuple[FloorPlan, OccupancyGrid]:
+def import_plan(args: Options) -> tuple[FloorPlan, OccupancyGrid]:
     """Read the map or picture of the command line, trace it, and print the table of the result."""
     source = Path(args.input)
     if args.resolution is not None and not (is_picture(source) or args.export):
@@ -133,8 +145,7 @@ def import_plan(args: argparse.Namespace) -> tuple[FloorPlan, OccupancyGrid]:
             progress.set_description(f"tracing: {stage}")
 
         try:
-            start = tuple(args.start) if args.start else None
-            tracing = trace_floor_plan(grid, start=start, progress=show, **sizes(args))
+            tracing = trace_floor_plan(grid, start=args.start, progress=show, **sizes(args))
         except CyclicLoopError as error:
             raise ConfigError(f"{source}: {error}") from error
     plan = tracing.plan
@@ -144,13 +155,13 @@ def import_plan(args: argparse.Namespace) -> tuple[FloorPlan, OccupancyGrid]:
     return plan, grid
 
 
-def sizes(args: argparse.Namespace) -> dict[str, float]:
+def sizes(args: Options) -> dict[str, Any]:
     """Return the sizes given on the command line."""
     return {name: value for name in SIZES if (value := getattr(args, name)) is not None}
 
 
-def check_export(plan: FloorPlan, args: argparse.Namespace, inputs: Sequence[Path]) -> list[Path]:
-    """Return the files to export a plan to.
+def check_export(plan: FloorPlan, args: Options, folder: Path, inputs: Sequence[Path]) -> list[Path]:
+    """Return the files to export a plan to, in a folder.
 
     Raises
     ------
@@ -161,12 +172,12 @@ def check_export(plan: FloorPlan, args: argparse.Namespace, inputs: Sequence[Pat
         raise ConfigError(
             f"--export: the plan's name {short_repr(plan.name)} is no name of a file; change it in {args.input}."
         )
-    exports = [args.export / f"{plan.name}{suffix}" for suffix in (".yaml", ".pgm")]
+    exports = [folder / f"{plan.name}{suffix}" for suffix in (".yaml", ".pgm")]
     check_outputs(filter(None, (args.out, args.figure, *exports)), inputs)
     return exports
 
 
-def export_resolution(args: argparse.Namespace, grid: OccupancyGrid | None) -> float:
+def export_resolution(args: Options, grid: OccupancyGrid | None) -> float:
     """Return the resolution of an export: the one asked for, else that of the map, else the usual one."""
     if args.resolution is not None:
         return args.resolution

@@ -11,8 +11,6 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
-import dataclasses
 import hashlib
 import io
 import math
@@ -20,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import zipfile
-from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -43,17 +41,21 @@ ROUGH_TRANSFORM = (246.0, 83.0, math.radians(122.0))
 """Pose of the reference's frame in the floor plan's, read off a drawing; the start of the search for the best one."""
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    out: Path = Path(__file__).resolve().parents[1] / "maps" / "recorded" / "killian_run.npz"
+    """file to write"""
+
+
+@command(Options)
+def main(args: Options) -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    default = Path(__file__).resolve().parents[1] / "maps" / "recorded" / "killian_run.npz"
-    parser.add_argument("--out", type=Path, default=default, metavar="FILE", help="default: in maps/recorded")
-    args = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
         log = read_robot_log(download(Path(folder)))
-    laser = dataclasses.replace(log.laser, field_of_view=math.radians(179.0), mounting_angle=math.radians(-0.5))
-    log = dataclasses.replace(
+    laser = replace(log.laser, field_of_view=math.radians(179.0), mounting_angle=math.radians(-0.5))
+    log = replace(
         log,
         name="killian_run",
         laser=laser,

@@ -7,10 +7,9 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
 from typing import NamedTuple
@@ -65,12 +64,17 @@ class Building(NamedTuple):
     walk: tuple[tuple[Point, Point], ...]
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    out: Path = Path("out/ros_maps")
+    """folder for the maps"""
+
+
+@command(Options)
+def main(args: Options) -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--out", type=Path, default=Path("out/ros_maps"), help="folder (default out/ros_maps)")
-    args = parser.parse_args(arguments)
     check_outputs(args.out / f"{name}{suffix}" for name in MAPS for suffix in (".yaml", ".pgm"))
     for name, draw in MAPS.items():
         path = args.out / f"{name}.yaml"

@@ -7,41 +7,46 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
-from collections.abc import Sequence
-from pathlib import Path
+from dataclasses import dataclass, field
 
-from cyclic_env import ConfigError, CyclicLoopEnv, Recorder, map_names
+from cyclic_env import ConfigError, CyclicLoopEnv, Recorder
 from cyclic_env.validation import short_repr
+from scripts._arguments import EnvArguments, EnvOptions, OptionalFile, noise_presets
 from scripts._cli import command, interruptible
 from scripts._tables import format_rows, score_rows
-from scripts.game.game import SHOWS, Play
+from scripts.game.game import Play, Show
 
-EPILOG = """keys: arrows or WASD drive, with Shift slowly; Space claims to be back at the ringed place of your path, the
+KEYS = """keys: arrows or WASD drive, with Shift slowly; Space claims to be back at the ringed place of your path, the
 nearest one that you left long enough ago, or one that you click on (right click: the nearest again); P pauses, R
 restarts, Esc quits. The clock starts when you first drive."""
 SPEED_MAX = 20.0
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    map: str = "ring"
+    """a shipped plan, a file, or a building such as generated:seed=7"""
+    noise: str = "ideal"
+    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one"""
+    seed: int = 0
+    """seed of the noise and the random start"""
+    show: Show = "robot"
+    """robot (what it senses) or truth"""
+    speed: float = 2.0
+    """speed relative to real time"""
+    record: OptionalFile = None
+    """record to an NPZ file; restarts are numbered"""
+    env: EnvOptions = field(default_factory=EnvArguments)
+
+
+@command(Options, KEYS)
+def main(args: Options) -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__, epilog=EPILOG)
-    parser.add_argument(
-        "--map",
-        default="ring",
-        help=f"{', '.join(map_names())}, a file, or a building such as generated:seed=7 (default ring)",
-    )
-    parser.add_argument("--noise", default="ideal", help="ideal, calibrated, typical or poor (default ideal)")
-    parser.add_argument("--seed", type=int, default=0, help="seed of the noise and the random start (default 0)")
-    parser.add_argument("--random-start", action="store_true", help="start anywhere (default: at the plan's start)")
-    parser.add_argument("--show", default="robot", help=f"{' or '.join(SHOWS)} (default robot: what it senses)")
-    parser.add_argument("--speed", type=float, default=2.0, help="speed relative to real time (default 2)")
-    parser.add_argument("--record", type=Path, metavar="FILE", help="record to an NPZ file; restarts are numbered")
-    args = parser.parse_args(arguments)
     if not 0 < args.speed <= SPEED_MAX:
         raise ConfigError(f"--speed is {short_repr(args.speed)}; expected a number above 0, at most {SPEED_MAX:g}.")
-    env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start)
+    env = CyclicLoopEnv(args.map, noise=noise_presets(args.noise), **args.env.settings())
     interruption = None
     with Recorder(env, args.record) as recorder:
         play = Play(recorder, seed=args.seed, show=args.show)

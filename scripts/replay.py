@@ -7,16 +7,18 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
+
+from tyro.conf import Positional, arg
 
 from cyclic_env import CyclicLoopEnv, RecordingError, read_recording, replay
 from cyclic_env.atomic_write import check_outputs
 from cyclic_env.recording.format import Recording
 from cyclic_env.recording.replay import Replay
 from cyclic_env.trajectory.metrics import ate
+from scripts._arguments import Flag, OptionalFile
 from scripts._cli import command, progress_bar
 from scripts._tables import format_rows, score_rows
 
@@ -24,14 +26,21 @@ if TYPE_CHECKING:
     from cyclic_env.rendering.gif import GifWriter
 
 
-@command
-def main(arguments: Sequence[str] | None) -> int:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    file: Annotated[Path, Positional, arg(metavar="FILE")]
+    """recording of an episode, NPZ"""
+    gif: OptionalFile = None
+    """write an animation of the episode"""
+    human: Flag = False
+    """show the episode in a window, in real time"""
+
+
+@command(Options, "Exit code: 0 bit-equal, 1 not, 2 bad input.")
+def main(args: Options) -> int:
     """Run the command; return 0 if the replay is bit-equal, else 1."""
-    parser = argparse.ArgumentParser(description=__doc__, epilog="Exit code: 0 bit-equal, 1 not, 2 bad input.")
-    parser.add_argument("file", type=Path, metavar="FILE", help="recording of an episode, NPZ")
-    parser.add_argument("--gif", type=Path, metavar="FILE", help="write an animation of the episode")
-    parser.add_argument("--human", action="store_true", help="show the episode in a window, in real time")
-    args = parser.parse_args(arguments)
     animation: GifWriter | None = None
     recording = read_recording(args.file)
     if args.gif is not None:

@@ -7,28 +7,37 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
-from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
 from cyclic_env.atomic_write import check_writable
 from cyclic_env.errors import ConfigError
+from scripts._arguments import Flag, OptionalFolder
 from scripts._cli import command, interruptible
 from scripts.paper.experiments import PAPER, PAPER_ALL, QUICK
 
 PROCESSES_MAX = 64
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    quick: Flag = False
+    """fewer starts and plans"""
+    all: Flag = False
+    """also vary the readings, and sweep the noise"""
+    out: Path = Path("out/paper")
+    """folder for the files"""
+    docs: OptionalFolder = None
+    """also write paper.md and small pictures there"""
+    processes: int = 2
+    """how many runs at once"""
+
+
+@command(Options)
+def main(args: Options) -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="fewer starts and plans")
-    parser.add_argument("--all", action="store_true", help="also vary the readings, and sweep the noise")
-    parser.add_argument("--out", type=Path, default=Path("out/paper"), help="folder for the files (default out/paper)")
-    parser.add_argument("--docs", type=Path, metavar="FOLDER", help="also write paper.md and small pictures there")
-    parser.add_argument("--processes", type=int, default=2, help="at once (default 2)")
-    args = parser.parse_args(arguments)
     import cyclic_env.rendering.figures  # noqa: F401 (it says what to do where matplotlib is missing)
     from scripts.paper.report import Reproduction
 

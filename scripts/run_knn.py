@@ -7,28 +7,27 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
 import json
 import math
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numba.core.event import RecordingListener, install_listener
 
-from agents.knn.config import DETECTORS, PRESETS, preset
+from agents.knn.config import preset
 from agents.knn.explorer import KnnExplorer
 from agents.knn.policy import KnnPolicy
-from agents.knn.similarity import MEASURES
-from cyclic_env import CyclicLoopEnv, Recorder, Recording, __version__, map_names
+from cyclic_env import CyclicLoopEnv, Recorder, Recording, __version__
 from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
 from cyclic_env.recording.format import write_recording
 from cyclic_env.trajectory.io import write_g2o, write_tum
 from cyclic_env.trajectory.metrics import ate
+from scripts._arguments import EnvArguments, EnvOptions, Flag, OptionalFile, OptionalFolder, OptionalText, noise_presets
 from scripts._cli import command, interruptible, progress_bar
 from scripts._tables import format_rows, score_rows
 
@@ -41,38 +40,39 @@ INTERRUPTED = "interrupted"
 EXPORTS = ("episode.npz", "true.tum", "dead_reckoned.tum", "corrected.tum", "pose_graph.g2o")
 
 
-def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
-    """Return the options of a command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "--map",
-        default="killian_court",
-        help=f"{', '.join(map_names())}, a file, or a building such as generated:seed=7 (default killian_court)",
-    )
-    parser.add_argument("--preset", default="extended", help=f"{' or '.join(PRESETS)} (default extended)")
-    parser.add_argument("--detector", help=f"{', '.join(DETECTORS)} (default both)")
-    parser.add_argument(
-        "--measure",
-        help=f"of similarity: {', '.join(MEASURES)} (default cosine); it changes little where the position leaves few "
-        "places to compare: see it with paper or --detector knn",
-    )
-    parser.add_argument("--noise", default="ideal", help="ideal, calibrated, typical or poor (default ideal)")
-    parser.add_argument("--seed", type=int, default=0, help="of noise and random start (default 0)")
-    parser.add_argument("--random-start", action="store_true", help="draw the start (default: the plan's own)")
-    parser.add_argument("--out", type=Path, default=Path("out/knn"), help="folder for the files (default out/knn)")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="for the metrics (default: metrics.json in --out)")
-    parser.add_argument("--human", action="store_true", help="show the run in a window, in real time: 5 steps a second")
-    parser.add_argument("--no-gif", action="store_true", help="write no animation, which takes half of the time")
-    parser.add_argument(
-        "--export", type=Path, metavar="FOLDER", help="write the recording, the trajectories (TUM) and the graph (g2o)"
-    )
-    return parser.parse_args(arguments)
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    map: str = "killian_court"
+    """a shipped plan, a file, or a building such as generated:seed=7"""
+    preset: str = "extended"
+    """extended or paper"""
+    detector: OptionalText = None
+    """both, knn or position (default: both)"""
+    measure: OptionalText = None
+    """measure of similarity (default: cosine); it changes little where the position leaves few places to compare,
+    so try it with paper or --detector knn"""
+    noise: str = "ideal"
+    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one"""
+    seed: int = 0
+    """seed of the noise and the random start"""
+    out: Path = Path("out/knn")
+    """folder for the files"""
+    json: OptionalFile = None
+    """file for the metrics (default: metrics.json in --out)"""
+    human: Flag = False
+    """show the run in a window, in real time: 5 steps a second"""
+    no_gif: Flag = False
+    """write no animation, which takes half of the time"""
+    export: OptionalFolder = None
+    """write the recording, the trajectories (TUM) and the pose graph (g2o)"""
+    env: EnvOptions = field(default_factory=EnvArguments)
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@command(Options)
+def main(args: Options) -> None:
     """Run the command."""
-    args = parse(arguments)
     import cyclic_env.rendering.figures  # noqa: F401 (before the run: it says what to do where matplotlib is missing)
     from cyclic_env.rendering.gif import GifWriter
 
@@ -81,9 +81,9 @@ def main(arguments: Sequence[str] | None) -> None:
     exports = [] if args.export is None else [args.export / name for name in EXPORTS]
     files = [path for path in (picture, animation, metrics_file, *exports) if path]
     changes = {name: value for name in ("detector", "measure") if (value := getattr(args, name)) is not None}
-    explorer = KnnPolicy(preset(args.preset, **changes))
-    render_mode = "human" if args.human else None
-    env = CyclicLoopEnv(args.map, noise=args.noise, random_start=args.random_start, render_mode=render_mode)
+    explorer = KnnPolicy(preset(args.preset, **changes).fitted(args.env.laser, args.env.robot))
+    conditions = {"noise": noise_presets(args.noise), **args.env.settings()}
+    env = CyclicLoopEnv(args.map, **conditions, render_mode="human" if args.human else None)
     check_outputs(files)
     run = Run(Recorder(env), GifWriter(env) if animation else None)
     with interruptible() as interruption:
@@ -91,7 +91,7 @@ def main(arguments: Sequence[str] | None) -> None:
     if interruption and not run.steps:
         raise interruption.stopped("there was no step yet, so there is nothing to keep.")
     settings = {"preset": args.preset, "detector": explorer.config.detector, "measure": explorer.config.measure}
-    settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.random_start}
+    settings |= {"noise": args.noise, "seed": args.seed, "random_start": args.env.random_start}
     metrics = run.metrics() | settings | {"explorer": asdict(explorer.config), "cyclic_env": __version__}
     print(score_table(metrics))
     write_text_atomically(metrics_file, json.dumps(metrics, indent=1) + "\n")

@@ -7,20 +7,22 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import numpy as np
+from tyro.conf import Positional, arg
 
-from cyclic_env import FloorPlan, map_names
+from cyclic_env import ConfigError, FloorPlan, map_names
 from cyclic_env.analysis.perceptual_aliasing import perceptual_aliasing
 from cyclic_env.atomic_write import atomic_write, check_outputs, write_text_atomically
 from cyclic_env.floor_plans import load_floor_plans
 from cyclic_env.jit import compile_notice
+from scripts._arguments import OptionalFile
 from scripts._cli import command, interruptible, progress_bar
 
 FIGURE_DPI = 150
@@ -46,21 +48,23 @@ Measurement = tuple[Row, np.ndarray]
 """The measures of a plan, and its aliased places, `(n, 2)`."""
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    names: Annotated[tuple[str, ...], Positional, arg(metavar="MAP [MAP ...]", help_behavior_hint="")] = ()
+    """shipped plans, generated:..., or files; see maps/README.md"""
+    out: OptionalFile = None
+    """draw the plans, and mark their aliased places"""
+    json: OptionalFile = None
+    """write the numbers to a file"""
+
+
+@command(Options, EXAMPLES)
+def main(args: Options) -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, epilog=EXAMPLES, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument(
-        "names",
-        nargs="+",
-        metavar="MAP",
-        help=f"{', '.join(map_names())}, generated:..., or a file; see maps/README.md",
-    )
-    parser.add_argument("--out", type=Path, metavar="FILE", help="draw the plans, and mark their aliased places")
-    parser.add_argument("--json", type=Path, metavar="FILE", help="write the numbers to a file")
-    args = parser.parse_args(arguments)
+    if not args.names:
+        raise ConfigError(f"name at least one map; shipped are {', '.join(map_names())}.")
     if args.out:
         from cyclic_env.rendering.figures import check_figure  # before the work, in case matplotlib is missing
 

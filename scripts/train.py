@@ -7,55 +7,61 @@ if __name__ == "__main__":
 
     run_script(__file__)
 
-import argparse
 import shlex
-from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from agents.rl import require_learning
 from cyclic_env.floor_plans import separate_names
+from scripts._arguments import EnvArguments, EnvOptions, Flag, OptionalFile, OptionalFolder, OptionalInt, OptionalText
 from scripts._cli import command, interruptible, progress_bar
 
-EXAMPLE = """examples: python scripts/train.py --task headings --steps 500000
-python scripts/train.py --algo ppo --steps 300000 --map ring && python scripts/evaluate.py out/ppo_ring"""
+EXAMPLE = """examples:
+  python scripts/train.py --task headings --steps 500000
+  python scripts/train.py --algo ppo --steps 300000 --map ring && python scripts/evaluate.py out/ppo_ring"""
 
 
-@command
-def main(arguments: Sequence[str] | None) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of the command."""
+
+    task: OptionalText = None
+    """cyclic_loop or headings (default: cyclic_loop)"""
+    algo: OptionalText = None
+    """ppo, maskable_ppo, a2c, sac or td3 (default: ppo; headings: maskable_ppo)"""
+    steps: int = 300_000
+    """steps of all robots together, rounded up"""
+    map: OptionalText = None
+    """floor plan, or several with commas between (default: ring; headings: generated:train)"""
+    noise: OptionalText = None
+    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one (default:
+    ideal; headings: all but ideal)"""
+    action_type: OptionalText = None
+    """wheels, twist or discrete (default: wheels)"""
+    num_envs: OptionalInt = None
+    """robots at once (default: as the hyperparameters say)"""
+    hyperparameters: OptionalFile = None
+    """YAML file (default: the one that is shipped for task and algorithm)"""
+    validation_map: OptionalText = None
+    """plans on which checkpoints are scored and the best one is chosen (default: generated:validation for models
+    trained on generated:train)"""
+    seed: OptionalInt = None
+    """seed of the weights and of the environment (default: 0)"""
+    out: OptionalFolder = None
+    """folder to write to (default: out/ALGO_MAP)"""
+    resume: Flag = False
+    """go on with the model in the folder until --steps"""
+    overwrite: Flag = False
+    """replace the model in the folder"""
+    env: EnvOptions = field(default_factory=EnvArguments)
+
+
+@command(Options, EXAMPLE)
+def main(args: Options) -> None:
     """Run the command."""
-    parser = argparse.ArgumentParser(description=__doc__, epilog=EXAMPLE)
-    parser.add_argument("--task", help="cyclic_loop or headings (default cyclic_loop)")
-    parser.add_argument("--algo", help="ppo, maskable_ppo, a2c, sac or td3 (default ppo; headings: maskable_ppo)")
-    parser.add_argument(
-        "--steps", type=int, default=300_000, help="of all robots together, rounded up (default 300000)"
-    )
-    parser.add_argument(
-        "--map",
-        dest="map_name",
-        help="floor plan, or several with commas between (default ring; headings: generated:train)",
-    )
-    parser.add_argument(
-        "--noise",
-        help="ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one "
-        "(default ideal; headings: all but ideal)",
-    )
-    parser.add_argument("--action-type", help="wheels, twist or discrete (default wheels)")
-    parser.add_argument("--step-budget", type=int, help="longest episode (default: what the plan needs)")
-    parser.add_argument("--num-envs", type=int, help="robots at once (default: as the hyperparameters say)")
-    parser.add_argument("--hyperparameters", metavar="YAML", help="(default: those shipped for task and algorithm)")
-    parser.add_argument(
-        "--validation-map",
-        help="plans on which checkpoints are scored and the best one is chosen (default: generated:validation for "
-        "models trained on generated:train)",
-    )
-    parser.add_argument("--seed", type=int, help="(default 0)")
-    parser.add_argument("--out", type=Path, help="folder to write to (default out/ALGO_MAP)")
-    parser.add_argument("--resume", action="store_true", help="go on with the model in the folder until --steps")
-    parser.add_argument("--overwrite", action="store_true", help="replace the model in the folder")
-    args = parser.parse_args(arguments)
-    names = ("task", "algo", "map_name", "noise", "action_type", "step_budget", "num_envs", "seed")
-    names += ("hyperparameters", "validation_map")
-    given = {name: getattr(args, name) for name in names if getattr(args, name) is not None}
+    names = ("task", "algo", "noise", "action_type", "num_envs", "seed", "hyperparameters", "validation_map")
+    given = {name: getattr(args, name) for name in names} | {"map_name": args.map}
+    given = {name: value for name, value in given.items() if value is not None} | args.env.changed()
     out = args.out or default_out(**given)
     require_learning()
     from agents.rl.settings import training_settings

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 import shapely
-from matplotlib.axes import Axes
 
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names
-from cyclic_env.rendering.figures import plan_figure
 from tests.helpers import load_script
 
 
@@ -37,8 +36,10 @@ def square_room() -> FloorPlan:
 
 
 @pytest.fixture
-def axes(square_room: FloorPlan) -> Axes:
+def axes(square_room: FloorPlan) -> Any:
     """The axes of a figure of the square room."""
+    from cyclic_env.rendering.figures import plan_figure
+
     return plan_figure(square_room, "A room")[1]
 
 

@@ -22,7 +22,6 @@ from typing import Literal
 
 import numpy as np
 from scipy.spatial.distance import cdist
-from scipy.stats import rankdata
 
 from cyclic_env.errors import ConfigError
 from cyclic_env.validation import as_array, check_choice
@@ -118,6 +117,12 @@ def _jaccard(rows: np.ndarray, query: np.ndarray) -> np.ndarray:
     return np.divide((rows != query) @ ones, union, out=np.zeros(len(rows)), where=union > 0)
 
 
+def _centred_ranks(vectors: np.ndarray) -> np.ndarray:
+    from scipy.stats import rankdata  # takes half of a second to import, and most runs don't need it
+
+    return _centred(rankdata(vectors, axis=-1))
+
+
 def _scipys(metric: Literal["euclidean", "cityblock", "chebyshev"]) -> Callable[[np.ndarray, np.ndarray], np.ndarray]:
     return lambda rows, query: cdist(rows, query[None], metric)[:, 0]
 
@@ -140,7 +145,7 @@ MEASURES: dict[str, Measure] = {
         _measure("cityblock", False, _as_it_is, _scipys("cityblock")),
         _measure("chebyshev", False, _as_it_is, _scipys("chebyshev")),
         _measure("cosine", True, _unit, _angular),
-        _measure("spearman", True, lambda vectors: _centred(rankdata(vectors, axis=-1)), _angular),
+        _measure("spearman", True, _centred_ranks, _angular),
         _measure(
             "variation",
             False,

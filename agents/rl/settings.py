@@ -14,16 +14,27 @@ from agents.rl.headings.vec_env import HeadingsVecEnv
 from agents.rl.models import ALGORITHMS, TASKS, hyperparameter_file, read_hyperparameters
 from agents.rl.vec_env import CyclicLoopVecEnv
 from cyclic_env import CyclicLoopVectorEnv
-from cyclic_env.config import ACTION_TYPES, ActionType, noise_from_name
+from cyclic_env.config import (
+    ActionType,
+    ClosureConfig,
+    CoverageConfig,
+    EnvConfig,
+    LaserConfig,
+    RewardConfig,
+    RobotConfig,
+)
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import load_floor_plans, separate_names
-from cyclic_env.validation import check_choice
+from cyclic_env.validation import check_choice, check_integer
 
+NUM_ENVS_MAX = 10_000
 CONTINUOUS_ONLY = ("sac", "td3")
 DEFAULTS: Mapping[str, Mapping[str, Any]] = {
     "headings": {"algo": "maskable_ppo", "map_name": "generated:train", "noise": "calibrated,typical,poor"}
 }
 """What else a training run of a task is on a command line that doesn't say."""
+PARTS = ("step_budget", "random_start", "terminate_on_collision", "robot", "laser", "closure", "coverage", "reward")
+"""Settings that are those of `cyclic_env.EnvConfig`."""
 LISTS = ("map_name", "noise", "validation_map")
 """Settings that are several names, with commas between on a command line."""
 
@@ -40,6 +51,13 @@ class TrainingSettings:
     action_type: ActionType = "wheels"
     """Of the task headings it is always twist."""
     step_budget: int | None = None
+    random_start: bool = False
+    terminate_on_collision: bool = False
+    robot: RobotConfig = field(default_factory=RobotConfig)
+    laser: LaserConfig = field(default_factory=LaserConfig)
+    closure: ClosureConfig = field(default_factory=ClosureConfig)
+    coverage: CoverageConfig = field(default_factory=CoverageConfig)
+    reward: RewardConfig = field(default_factory=RewardConfig)
     num_envs: int | None = None
     """None: as the hyperparameters say."""
     seed: int = 0
@@ -52,7 +70,6 @@ class TrainingSettings:
     def __post_init__(self) -> None:
         check_choice("task", self.task, TASKS)
         check_choice("algorithm", self.algo, ALGORITHMS)
-        check_choice("action type", self.action_type, ACTION_TYPES)
         if self.action_type == "discrete" and self.algo in CONTINUOUS_ONLY:
             raise ConfigError(f"{self.algo} takes no discrete actions; use ppo or a2c, or another action type.")
         if not self.hyperparameters:
@@ -63,19 +80,17 @@ class TrainingSettings:
         for name in LISTS:
             value = getattr(self, name)
             object.__setattr__(self, name, (value,) if isinstance(value, str) else tuple(value))
-        for preset in self.noise:
-            noise_from_name(preset)
+        checked = EnvConfig(**self._env_settings())
+        for name in PARTS:
+            object.__setattr__(self, name, getattr(checked, name))
         for names in (self.map_name, self.validation_map):
             if names:
                 load_floor_plans(names)
         if self.num_envs is None:
             object.__setattr__(self, "num_envs", self.hyperparameters["num_envs"])
-        for name in ("num_envs", "validation_envs", "step_budget"):
-            value = getattr(self, name)
-            if (name, value) != ("step_budget", None) and (not isinstance(value, int) or value < 1):
-                raise ConfigError(f"{name} is {value!r}; expected a whole number of at least 1.")
-        if not isinstance(self.seed, int) or not 0 <= self.seed < 2**32:
-            raise ConfigError(f"seed is {self.seed!r}; expected a whole number from 0 to {2**32 - 1}.")
+        for name in ("num_envs", "validation_envs"):
+            check_integer(self, name, 1, NUM_ENVS_MAX)
+        check_integer(self, "seed", 0, 2**32 - 1)
 
     def make_env(self) -> CyclicLoopVecEnv:
         """Return the environment to train on."""
@@ -91,8 +106,8 @@ class TrainingSettings:
         return kind(self.validation_envs, plans, autoreset_mode=AutoresetMode.DISABLED, **self._env_settings())
 
     def _env_settings(self) -> dict[str, Any]:
-        noise = self.noise[0] if len(self.noise) == 1 else list(self.noise)
-        return {"noise": noise, "action_type": self.action_type, "step_budget": self.step_budget}
+        noise = self.noise[0] if len(self.noise) == 1 else self.noise
+        return {"noise": noise, "action_type": self.action_type} | {name: getattr(self, name) for name in PARTS}
 
 
 def training_settings(given: Mapping[str, Any]) -> TrainingSettings:
@@ -122,4 +137,6 @@ def settings_from_stored(stored: Mapping[str, Any]) -> TrainingSettings:
     KeyError, TypeError
         If one is missing or unknown.
     """
-    return TrainingSettings(**{one.name: stored[one.name] for one in fields(TrainingSettings)})
+    older = {name: stored[name] for name in PARTS if name in stored}  # models of before have only a step budget
+    names = [one.name for one in fields(TrainingSettings) if one.name not in PARTS]
+    return TrainingSettings(**{name: stored[name] for name in names}, **older)

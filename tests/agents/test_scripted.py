@@ -15,7 +15,7 @@ from stable_baselines3.common.evaluation import evaluate_policy
 
 from agents import agent_names, baseline_names, make_agent
 from agents.rl.vec_env import CyclicLoopVecEnv
-from agents.scripted import first_free_bearing, without_outliers
+from agents.scripted import first_free_bearing, uniform, without_outliers
 from cyclic_env import ConfigError, CyclicLoopEnv, CyclicLoopVectorEnv, FloorPlan, load_floor_plan, map_names
 from cyclic_env.config import ACTION_TYPES, ActionType, ClosureConfig
 from cyclic_env.evaluation.rollout import rollout
@@ -104,6 +104,15 @@ def test_unknown_agents_and_action_types_are_told_the_nearest_name() -> None:
 def test_agents_see_nothing_of_stable_baselines() -> None:
     code = "import sys, agents, agents.comparison; assert not {'torch', 'stable_baselines3'} & set(sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).parents[2])
+
+
+def test_random_numbers_are_uniform_and_alike_for_no_two_rows() -> None:
+    numbers = np.array([[uniform(key, step) for key in range(2000)] for step in range(20)])
+    assert numbers.min() >= -1
+    assert numbers.max() < 1
+    assert abs(numbers.mean()) < 0.01
+    assert abs(numbers.var() - 1 / 3) < 0.01
+    assert abs(np.corrcoef(numbers[0], numbers[1])[0, 1]) < 0.1
 
 
 def test_a_single_wrong_range_is_dropped() -> None:

@@ -136,25 +136,24 @@ def test_a_copied_env_goes_on_to_the_bit_where_no_wall_is_touched(copied: Any) -
     assert_same(env.reset(), twin.reset())
 
 
-def test_a_pickle_holds_no_room_for_steps_to_come() -> None:
-    for map_name in ("ring", "dead_ends"):
-        sizes = []
-        for step_budget in (100, 1_000_000):
-            env = CyclicLoopEnv(map_name, step_budget=step_budget)
-            env.reset(seed=0)
-            actions = bumping_actions(80, 1)[:, 0]
-            actions[:, :2] = (0.3, -0.2)
-            for action in actions[:70]:
-                env.step(action)
-            text = pickle.dumps(env)
-            sizes.append(len(text))
-            twin = pickle.loads(text)
-            for action in actions[70:]:
-                assert_same(env.step(action), twin.step(action))
-            assert_same(env.trajectory(), twin.trajectory())
-            assert_same(env.engine.claims(0), twin.engine.claims(0))
-            assert env.engine.episodes.memory.track.shape == twin.engine.episodes.memory.track.shape
-        assert abs(sizes[1] - sizes[0]) < 1000
+@pytest.mark.parametrize("map_name", ["ring", "dead_ends"])
+def test_a_pickle_holds_no_room_for_steps_to_come(map_name: str) -> None:
+    sizes = []
+    actions = bumping_actions(80, 1)[:, 0]
+    actions[:, :2] = (0.3, -0.2)
+    for step_budget in (100, 1_000_000):
+        env = CyclicLoopEnv(map_name, step_budget=step_budget)
+        env.reset(seed=0)
+        for action in actions[:70]:
+            env.step(action)
+        text = pickle.dumps(env)
+        sizes.append(len(text))
+        twin = pickle.loads(text)
+        for action in actions[70:]:
+            assert_same(env.step(action), twin.step(action))
+        assert_same(env.trajectory(), twin.trajectory())
+        assert_same(env.claims(), twin.claims())
+    assert abs(sizes[1] - sizes[0]) < 1000
 
 
 def test_a_copied_env_goes_on_within_a_millimetre_at_a_wall() -> None:

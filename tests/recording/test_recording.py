@@ -10,11 +10,13 @@ import gymnasium
 import numpy as np
 import pytest
 
+import cyclic_env.recording.format as recording_format
 from cyclic_env import (
     CyclicLoopEnv,
     CyclicLoopVectorEnv,
     FloorPlan,
     Recorder,
+    RecordingError,
     load_floor_plan,
     map_names,
     read_recording,
@@ -22,7 +24,7 @@ from cyclic_env import (
     write_floor_plan,
 )
 from cyclic_env.floor_plans import floor_plan_from_text, floor_plan_to_text
-from cyclic_env.recording.format import observation_digest
+from cyclic_env.recording.format import observation_digest, write_recording
 from cyclic_env.trajectory.dead_reckoning import dead_reckon
 from tests.helpers import bumping_actions, load_script, roll_out
 
@@ -222,6 +224,21 @@ def test_a_long_run_of_killian_court_is_small(tmp_path: Path) -> None:
     path = record(CyclicLoopEnv(noise="typical"), tmp_path / "run.npz", steps=7000, seed=0)
     assert read_recording(path).steps == 7000
     assert path.stat().st_size < 1e6
+
+
+def test_a_failed_write_leaves_the_file_as_it_was(file: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = changed(file, tmp_path / "run.npz")
+    before = path.read_bytes()
+
+    def full(handle: Any, **arrays: Any) -> None:
+        handle.write(b"half of it")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(recording_format.np, "savez_compressed", full)
+    with pytest.raises(RecordingError, match=r"run\.npz: can't be written: No space left on device\."):
+        write_recording(read_recording(path), path)
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def bad_files(file: Path, folder: Path) -> dict[Path, str]:

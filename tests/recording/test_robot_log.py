@@ -207,13 +207,8 @@ def test_odometry_is_interpolated_at_the_scans_and_scans_outside_it_are_left_out
 def test_distance_is_signed_and_follows_chords() -> None:
     angles = np.linspace(0, 3 * math.pi, 31)  # backwards along a circle of radius 2
     poses = np.column_stack([2 * np.cos(angles), 2 * np.sin(angles), np.mod(angles, math.tau) - math.pi / 2])
-    log = RobotLog(
-        name="arc",
-        times=angles,
-        ranges=np.ones((31, 4), np.float32),
-        laser=LaserConfig(num_beams=4),
-        odometry=poses,
-    )
+    ranges, laser = np.ones((31, 4), np.float32), LaserConfig(num_beams=4)
+    log = RobotLog(name="arc", times=angles, ranges=ranges, laser=laser, odometry=poses)
     chord = 4 * math.sin(angles[1] / 2)
     assert log.distance == pytest.approx(-chord * np.arange(31))
     thin = log.thinned(2.0)

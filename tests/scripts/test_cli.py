@@ -8,11 +8,13 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 
-from cyclic_env import ConfigError
+from cyclic_env import ConfigError, EnvConfig
+from scripts._arguments import EnvArguments, EnvOptions, OptionalInt, parse
 from scripts._cli import command, interruptible
 from tests.helpers import ROOT, load_script
 from tests.scripts.conftest import Refused
@@ -91,13 +93,48 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
 def test_a_full_disk_names_the_file(small_disk: Path, refused: Refused) -> None:
     arguments = ["--map", "ring", "--steps", "10", "--num-envs", "1", "--out", small_disk]
     assert str(small_disk / "model.zip") in refused(load_script("train").main, arguments)
-    assert not list(small_disk.iterdir())
+    assert not list(small_disk.rglob("*.zip"))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """Options of a command."""
+
+    count: OptionalInt = None
+    env: EnvOptions = field(default_factory=EnvArguments)
+
+
+def test_settings_of_the_environment_are_options() -> None:
+    given = "--count 3 --laser.num-beams 360 --robot.radius 0.3 --reward.time -20 --random-start"
+    args = parse(Options, given.split(), "some.py", "")
+    assert args.count == 3
+    config = EnvConfig(**args.env.settings())
+    assert (config.random_start, config.laser.num_beams) == (True, 360)
+    assert (config.robot.radius, config.reward.time) == (0.3, -20.0)
+    assert set(args.env.changed()) == {"random_start", "laser", "robot", "reward"}
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ("--count x", "--count is 'x'; expected INT"),
+        ("--cuont 3", "Did you mean --count?"),
+        ("--count", "'--count'"),
+        ("--robot.radius -1", "RobotConfig.radius is -1.0"),
+        ("--laser.num-beams 1.5", "--laser.num-beams"),
+    ],
+)
+def test_what_is_no_option_gets_one_line(given: str, message: str) -> None:
+    with pytest.raises(ConfigError) as raised:
+        parse(Options, given.split(), "some.py", "")
+    assert message in str(raised.value)
+    assert "\n" not in str(raised.value)
 
 
 def test_exit_codes_and_lines(capsys: pytest.CaptureFixture[str]) -> None:
     def main_that_raises(error: BaseException | None) -> int:
-        @command
-        def main(arguments: object) -> None:
+        @command(Options)
+        def main(args: Options) -> None:
             if error is not None:
                 raise error
 

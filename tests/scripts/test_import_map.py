@@ -138,7 +138,8 @@ def test_bad_input_is_one_line(
     Path("no_image.yaml").write_text("resolution: 5e-2\norigin: [0, 0, 0]\n")
     Path("odd_name.yaml").write_text(ros_map.read_text() + "\nname: ../hall\n")
     before = ros_map.read_bytes()
-    said = refused(import_map.main, [argument.replace("MAP", str(ros_map)) for argument in arguments])
+    arguments = [argument.replace("MAP", str(ros_map)) for argument in arguments]
+    said = refused(import_map.main, arguments, before_the_work=False)
     assert message.replace("MAP", str(ros_map)) in said
     assert ros_map.read_bytes() == before
 

