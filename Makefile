@@ -9,8 +9,8 @@ PIP := $(BIN)/pip install --disable-pip-version-check --quiet
 demo: $(VENV)/.run ## Let the explorer drive Killian Court, write the figures, print the scores
 	$(BIN)/python scripts/run_knn.py
 
-test: $(VENV)/.dev ## Run all tests
-	$(BIN)/python -m pytest
+test: $(VENV)/.dev ## Run all tests, on all cores
+	$(BIN)/python -m pytest -n auto
 
 lint: $(VENV)/.dev ## Style, types, import contracts
 	$(BIN)/ruff check .
