@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/pip install --disable-pip-version-check --quiet
 
-.PHONY: demo test lint bench paper clean
+.PHONY: demo test lint bench paper paper-all clean
 
 demo: $(VENV)/.run ## Let the explorer drive Killian Court, write the figures, print the scores
 	$(BIN)/python scripts/run_knn.py
@@ -23,6 +23,9 @@ bench: $(VENV)/.run ## Measure the speed
 
 paper: $(VENV)/.paper ## Reproduce the paper and test its claims: a report with figures in out/paper
 	$(BIN)/python scripts/reproduce_paper.py
+
+paper-all: $(VENV)/.paper ## The same, with variations of how the paper is read and a sweep of the noise
+	$(BIN)/python scripts/reproduce_paper.py --all
 
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)

@@ -11,10 +11,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from cyclic_env.atomic_write import check_writable
+from cyclic_env.errors import ConfigError
 from scripts._arguments import Flag, OptionalFolder
-from scripts._cli import command, interruptible, progress_bar
-from scripts.paper.cache import check_processes
-from scripts.paper.sections import FULL, QUICK
+from scripts._cli import command, interruptible
+from scripts.paper.experiments import PAPER, PAPER_ALL, QUICK
+
+PROCESSES_MAX = 64
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -22,7 +24,9 @@ class Options:
     """Options of the command."""
 
     quick: Flag = False
-    """fewer seeds and settings"""
+    """fewer starts and plans"""
+    all: Flag = False
+    """also vary the readings, and sweep the noise"""
     out: Path = Path("out/paper")
     """folder for the files"""
     docs: OptionalFolder = None
@@ -35,17 +39,15 @@ class Options:
 def main(args: Options) -> None:
     """Run the command."""
     import cyclic_env.rendering.figures  # noqa: F401 (it says what to do where matplotlib is missing)
-    from scripts.paper.reproduction import Reproduction
+    from scripts.paper.report import Reproduction
 
-    check_processes(args.processes)
-    folders = [args.out, args.out / "cache", *([] if args.docs is None else [args.docs / "paper"])]
-    for folder in folders:
+    if not 1 <= args.processes <= PROCESSES_MAX:
+        raise ConfigError(f"--processes is {args.processes}; expected a whole number from 1 to {PROCESSES_MAX}.")
+    for folder in [args.out, *([] if args.docs is None else [args.docs / "paper"])]:
         check_writable(folder / "file")
-    scope = QUICK if args.quick else FULL
-    with interruptible() as interruption, progress_bar(bar_format="{desc}, {elapsed}") as progress:
-        written = Reproduction(
-            scope=scope, folder=args.out, processes=args.processes, docs=args.docs, tick=progress.set_description_str
-        ).run()
+    scope = PAPER_ALL if args.all else QUICK if args.quick else PAPER
+    with interruptible() as interruption:
+        written = Reproduction(scope=scope, folder=args.out, processes=args.processes, docs=args.docs).run()
     if interruption:
-        raise interruption.stopped("what was worked out is kept, and used next time.")
+        raise interruption.stopped("finished runs are kept, and used next time.")
     print(f"written: {written[0]}, and {len(written) - 1} figures and tables")

@@ -1,55 +1,38 @@
-"""The figures of the report, each as PNG and as PDF; the paper's own carry its numbers."""
+"""The figures of the report. Those named after figures of the paper carry their numbers."""
 
 from __future__ import annotations
 
-import itertools
-import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.patches import FancyBboxPatch
-from matplotlib.patheffects import withStroke
+from matplotlib.patches import FancyBboxPatch, Polygon
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from agents.knn.plotting import draw_groups, draw_open_areas
 from agents.knn.similarity import MEASURES
+from cyclic_env import load_floor_plan
 from cyclic_env.atomic_write import atomic_write
-from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.rendering.figures import add_legend, draw_claims, draw_path, plan_figure
-from scripts.paper.recognition import VECTORS
+from scripts.paper.experiments import EXPLORERS, intervals
+from scripts.paper.recognition import BEAMS, SECTORS, SecondLap
 from scripts.paper.runs import BEAM_ROUNDING, RunRecord
-from scripts.paper.sections import AGAIN, AGENTS, EXPLORER, SecondLap
 
 DPI = 150
-SMALL_WIDTH, SMALL_COLOURS = 1000, 256
-"""Pixels, and colours, of the pictures in the documentation."""
-COLOURS = dict(
-    zip(
-        MEASURES,
-        ("#7d5537", "#3c82cd", "#1f9e77", "#8c50a5", "#d43d2a", "#e2780a", "#8a8a8a", "#111111"),
-        strict=True,
-    )
-)
-MARKERS = dict(zip(MEASURES, "osv^DPX*", strict=True))
-AGENT_STYLES: dict[str, dict[str, Any]] = {
-    agent: {"color": colour, "linestyle": line, "marker": marker, "markersize": size, "markerfacecolor": "none"}
-    for agent, colour, line, marker, size in zip(
-        AGENTS, ("#d43d2a", "#111111", "#3c82cd", "#e2780a"), ("-", "-", "--", ":"), "sDo^", (5, 9, 6, 4), strict=True
+SMALL_WIDTH, SMALL_COLORS = 1000, 256
+"""Pixels and colors of the pictures in the documentation."""
+RED, BLUE, ORANGE, BLACK, PURPLE = "#d43d2a", "#3c82cd", "#e2780a", "#111111", "#8c50a5"
+STYLES: dict[str, dict[str, Any]] = {
+    explorer: {"color": color, "linestyle": line, "marker": marker, "markersize": 5, "capsize": 2}
+    for explorer, color, line, marker in zip(
+        EXPLORERS, (BLUE, ORANGE, RED, BLACK), ("--", ":", "-", "-"), "o^sD", strict=True
     )
 }
-"""Told apart by their markers where colours are not, or lines lie on each other."""
-STEPS = (
-    "Steps 2 to 4: a change of direction raises the new direction's indicator, and begins a group",
-    "Step 1: add a row to the group's table",
-    "Step 5: compare with the tables of before",
-    "Step 1: add openings to the open areas' list, and strike off those explored",
-    "Step 6: go to an open area, or on",
-)
 
 
 def save(figure: Figure, folder: Path, name: str) -> Path:
@@ -63,277 +46,268 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
 
 
 def write_small(picture: Path, path: Path) -> Path:
-    """Write a picture again, small and of few colours, for the documentation; return the file."""
+    """Write a picture again, small and in few colors, for the documentation; return the file."""
     with Image.open(picture) as image, atomic_write(path) as part:
         scale = min(1.0, SMALL_WIDTH / image.width)
         size = (round(scale * image.width), round(scale * image.height))
         small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-        few = small.quantize(SMALL_COLOURS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)  # keeps rare colours
+        few = small.quantize(SMALL_COLORS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)  # keeps rare colors
         few.save(part, optimize=True)
     return path
 
 
-def building(plan: FloorPlan) -> Figure:
+def building(record: RunRecord) -> Figure:
     """Return Figure 1: the building."""
+    plan = load_floor_plan(record.settings.map)
     title = f"{plan.cycles_total} cycles   {plan.free_area:,.0f} m² of floor   {len(plan.walls):,} walls"
     figure, axes = plan_figure(plan, plan.title or plan.name, title)
-    axes.plot(*plan.start[:2], marker="D", linestyle="", color="#111111", markersize=6, label="start")
+    _mark_start(axes, plan.start)
     add_legend(axes)
     return figure
+
+
+def _mark_start(axes: Axes, start: Sequence[float]) -> None:
+    axes.plot(*start[:2], marker="D", linestyle="", color=BLACK, markersize=6, label="start", zorder=7)
+
+
+Place = tuple[float, float]
+
+
+class _Diagram:
+    """A flow chart on axes in inches."""
+
+    def __init__(self, width: float, height: float) -> None:
+        self.figure = Figure((width, height))
+        self.axes = self.figure.add_axes((0, 0, 1, 1))
+        self.axes.set(xlim=(0, width), ylim=(0, height))
+        self.axes.set_axis_off()
+
+    def box(self, place: Place, text: str, width: float = 2.9, height: float = 0.5) -> None:
+        x, y = place
+        style: dict[str, Any] = {"boxstyle": "round,pad=0.02", "facecolor": "#f3efe4", "edgecolor": "#333333"}
+        self.axes.add_patch(FancyBboxPatch((x - width / 2, y - height / 2), width, height, **style))
+        self.axes.text(x, y, text, ha="center", va="center", fontsize=8)
+
+    def question(self, place: Place, text: str, width: float = 3.4, height: float = 0.95) -> None:
+        x, y = place
+        corners = [(x - width / 2, y), (x, y + height / 2), (x + width / 2, y), (x, y - height / 2)]
+        self.axes.add_patch(Polygon(corners, facecolor="#e4ecf5", edgecolor="#333333"))
+        self.axes.text(x, y, text, ha="center", va="center", fontsize=8)
+
+    def arrow(self, start: Place, *places: Place, label: str = "", beside: Place = (0.08, 0.1)) -> None:
+        style = {"arrowstyle": "-|>", "color": "#333333", "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
+        corners = [start, *places]
+        self.axes.plot(*zip(*corners[:-1], strict=True), color="#333333", linewidth=1.0)
+        self.axes.annotate("", xy=corners[-1], xytext=corners[-2], arrowprops=style)
+        if label:
+            x, y = start
+            self.axes.text(x + beside[0], y + beside[1], label, fontsize=8, color="#333333", va="center")
 
 
 def algorithm() -> Figure:
-    """Return Figure 2: the algorithm, in the order in which the explorer takes the paper's steps."""
-    steps = [
-        "Sense: laser, distance meter, compass; dead reckoning",
-        *STEPS,
-        "Drive; claim the place if it is visited",
-    ]
-    height = 0.85 * len(steps) + 0.25
-    figure = Figure((7.5, height))
-    axes = figure.add_axes((0, 0, 1, 1))
-    axes.set(xlim=(0, 7.5), ylim=(0, height))
-    axes.set_axis_off()
-    left, width, box = 0.9, 5.2, 0.56
-    middles = [height - 0.55 - 0.85 * k for k in range(len(steps))]
-    for text, y in zip(steps, middles, strict=True):
-        style = {"boxstyle": "round,pad=0.02", "facecolor": "#f3efe4", "edgecolor": "#333333", "linewidth": 1.0}
-        axes.add_patch(FancyBboxPatch((left, y - box / 2), width, box, **style))
-        lines = "\n".join(textwrap.wrap(text, 62))
-        axes.text(left + width / 2, y, lines, ha="center", va="center", fontsize=9)
-    arrow = {"arrowstyle": "-|>", "color": "#333333", "linewidth": 1.0}
-    for upper, lower in itertools.pairwise(middles):
-        tail, tip = (left + width / 2, upper - box / 2 - 0.02), (left + width / 2, lower + box / 2 + 0.02)
-        axes.annotate("", xy=tip, xytext=tail, arrowprops=arrow)
-    back = left + width + 0.35
-    axes.plot([left + width + 0.03, back, back], [middles[-1], middles[-1], middles[0]], color="#333333", linewidth=1.0)
-    axes.annotate("", xy=(left + width + 0.03, middles[0]), xytext=(back, middles[0]), arrowprops=arrow)
-    axes.text(back + 0.12, (middles[0] + middles[-1]) / 2, "next step, until the list is empty", rotation=90, **_MIDDLE)
-    above, below = middles[2] + box / 2, middles[-2] - box / 2
-    axes.plot([left - 0.1, left - 0.2, left - 0.2, left - 0.1], [above, above, below, below], color="#333333")
-    axes.text(left - 0.4, (above + below) / 2, "at a new row, a metre on", rotation=90, **_MIDDLE)
-    return figure
+    """Return Figure 2: the decisions of the preset `paper`, which are the paper's Steps 1 to 6."""
+    d = _Diagram(8.6, 7.6)
+    left, right, top = 2.4, 6.5, 7.2
+    row = [top - 1.06 * k for k in range(7)]
+    d.box((left, row[0]), "Sense: laser, distance meter, compass", 3.2)
+    d.question((left, row[1]), "Steps 2-4: is the compass\ndirection a new one?")
+    d.box((right, row[1]), "Indicator NI, EI, SI or WI grows by 1:\na group begins")
+    d.box((left, row[2]), "Step 1: a row joins the group, 1 m after the last;\nopenings join the open areas' list", 3.6)
+    d.question((left, row[3]), "Step 5: does an earlier row of this\ndirection lie within 2.5 m in X, Y?")
+    d.question((left, row[4]), "Do the 4 nearest in appearance\nvote for it, similarity > th?")
+    d.box((right, row[4]), "Step 6, visited: claim it, join it to the known row,\ncancel openings now reached", 3.4)
+    d.question((right, row[5]), "Is the open areas'\nlist empty?", 2.6)
+    d.box((left, row[6]), "Step 6, not visited: go on along the corridor;\nat its end, to the list", 3.4)
+    d.box((right, row[6]), "Stop", 1.2, 0.4)
+    d.box((right, row[3]), "Go to the first open area of the list,\nback along the rows of the groups")
+    d.arrow((left, row[0] - 0.25), (left, row[1] + 0.48))
+    d.arrow((left + 1.7, row[1]), (right - 1.47, row[1]), label="yes", beside=(0.1, 0.1))
+    d.arrow((right, row[1] - 0.25), (right, row[2]), (left + 1.82, row[2]))
+    d.arrow((left, row[1] - 0.48), (left, row[2] + 0.25), label="no", beside=(0.08, -0.1))
+    d.arrow((left, row[2] - 0.25), (left, row[3] + 0.48))
+    d.arrow((left, row[3] - 0.48), (left, row[4] + 0.48), label="yes", beside=(0.08, -0.06))
+    d.arrow((left + 1.7, row[4]), (right - 1.72, row[4]), label="yes", beside=(0.1, 0.1))
+    d.arrow((left, row[4] - 0.48), (left, row[6] + 0.25), label="no", beside=(0.08, -0.2))
+    west = left - 2.05
+    d.arrow(
+        (left - 1.7, row[3]), (west, row[3]), (west, row[6]), (left - 1.72, row[6]), label="no", beside=(-0.3, 0.12)
+    )
+    d.arrow((right, row[4] - 0.25), (right, row[5] + 0.48))
+    middle = (left + right) / 2 + 0.3
+    d.arrow((left + 1.72, row[6]), (middle, row[6]), (middle, row[5]), (right - 1.3, row[5]), label="it ends")
+    d.arrow((right, row[5] - 0.48), (right, row[6] + 0.2), label="yes", beside=(0.08, -0.1))
+    east = right + 1.8
+    d.arrow(
+        (right + 1.3, row[5]), (east, row[5]), (east, row[3]), (right + 1.47, row[3]), label="no", beside=(0.1, 0.12)
+    )
+    d.axes.text(left, 0.25, "and sense again", ha="center", fontsize=8, color="#333333", style="italic")
+    d.axes.text(right, row[3] + 0.36, "and sense again", ha="center", fontsize=8, color="#333333", style="italic")
+    return d.figure
 
 
-_MIDDLE: dict[str, Any] = {"ha": "center", "va": "center", "fontsize": 9, "color": "#333333"}
-
-
-def start(plan: FloorPlan, record: RunRecord, range_max: float) -> Figure:
-    """Return Figure 3: the start, and what the laser sees there."""
-    figure, axes = plan_figure(plan, "The start", f"laser of {range_max:g} m, {record.beams.shape[1]} beams")
+def start(record: RunRecord) -> Figure:
+    """Return Figure 3: the start, zoomed in, and what the laser sees there."""
+    plan, config = load_floor_plan(record.settings.map), record.settings.config
     x, y, heading = plan.start
+    figure, axes = plan_figure(
+        plan,
+        "The start",
+        f"laser: {record.beams.shape[1]} beams, {config.range_max:g} m; numbers: the 7 sectors, metres",
+    )
     angles = heading + np.arange(record.beams.shape[1]) * 2 * np.pi / record.beams.shape[1]
     ranges = record.beams[0] * BEAM_ROUNDING
-    axes.fill(x + ranges * np.cos(angles), y + ranges * np.sin(angles), color="#e2780a", alpha=0.35, label="seen")
-    axes.annotate("", xy=(x + 7 * np.cos(heading), y + 7 * np.sin(heading)), xytext=(x, y), arrowprops=_ARROW, zorder=6)
-    axes.plot(x, y, marker="D", linestyle="", color="#111111", markersize=6, label="start", zorder=7)
+    axes.fill(x + ranges * np.cos(angles), y + ranges * np.sin(angles), color=ORANGE, alpha=0.3, label="seen")
+    bearings = heading + np.linspace(-np.pi / 2, np.pi / 2, config.sectors)
+    for bearing, value in zip(bearings, record.features[0, 0] * config.rounding, strict=True):
+        edges = bearing + np.array([-1, 1]) * np.pi / (2 * (config.sectors - 1))
+        axes.plot(*_ray(x, y, edges[0], value), color=PURPLE, linewidth=0.8, zorder=5)
+        axes.plot(*_ray(x, y, edges[1], value), color=PURPLE, linewidth=0.8, zorder=5)
+        axes.text(x + 0.7 * value * np.cos(bearing), y + 0.7 * value * np.sin(bearing), f"{value:g}", fontsize=8)
+    arrow = {"arrowstyle": "-|>", "color": BLACK, "linewidth": 1.5}
+    tip = (x + 2.5 * np.cos(heading), y + 2.5 * np.sin(heading))
+    axes.annotate("", xy=tip, xytext=(x, y), arrowprops=arrow, zorder=6)
+    _mark_start(axes, plan.start)
+    box, shape = 8.0, axes.get_position()
+    tall = box * shape.height * figure.get_figheight() / (shape.width * figure.get_figwidth())
+    axes.set(xlim=(x - box, x + box), ylim=(y - tall, y + tall))
     add_legend(axes)
     return figure
 
 
-_ARROW: dict[str, Any] = {"arrowstyle": "-|>", "color": "#111111", "linewidth": 1.5}
+def _ray(x: float, y: float, angle: float, length: float) -> tuple[list[float], list[float]]:
+    return [x, x + length * np.cos(angle)], [y, y + length * np.sin(angle)]
 
 
-def similarity_alone(plan: FloorPlan, lap: SecondLap) -> Figure:
-    """Return Figure 4: the distances of all points of the first lap, and where they are least."""
-    row = lap.points["cosine"]
+def similarity_alone(lap: SecondLap) -> Figure:
+    """Return Figure 4: the cosine distance of all points of the first lap from the query, and where it is least."""
+    distances = lap.distances(MEASURES["cosine"], SECTORS)
+    query, found = _near_start(lap, distances, "points")
+    record, apart = lap.record, distances[query]
+    places = record.position[: lap.rows]
+    error = np.hypot(*(places[found] - record.position[lap.rows + query]))
     figure, axes = plan_figure(
-        plan,
+        load_floor_plan(record.settings.map),
         "Similarity alone: all points are compared",
-        f"least cosine distance {lap.apart[row]:.4f}, {lap.error(row):.1f} m from where the robot is; "
-        "crosses: each measure's least",
+        f"the least cosine distance, {apart[found]:.4f}, lies {error:.1f} m from the robot",
     )
-    places = lap.record.position[: len(lap.apart)]
-    order = np.argsort(-lap.apart)
-    shown = axes.scatter(
-        *places[order].T, c=lap.apart[order], s=7, cmap="viridis_r", vmax=float(np.quantile(lap.apart, 0.5)), zorder=3
+    order = np.argsort(-apart)
+    points = axes.scatter(
+        *places[order].T, c=apart[order], s=7, cmap="viridis_r", vmax=float(np.quantile(apart, 0.5)), zorder=3
     )
-    # In the court, where nothing is drawn.
-    bar = figure.colorbar(shown, cax=axes.inset_axes((0.3, 0.87, 0.3, 0.02)), orientation="horizontal", extend="max")
+    bar = figure.colorbar(points, cax=axes.inset_axes((0.3, 0.87, 0.3, 0.02)), orientation="horizontal", extend="max")
     bar.set_label("cosine distance, up to its median", fontsize=8)
     bar.ax.tick_params(labelsize=7)
     bar.locator = MaxNLocator(4)
     bar.update_ticks()
-    _mark(axes, lap, lap.points)
-    add_legend(axes)
+    _mark_answer(axes, lap, query, found)
     return figure
 
 
-def indicators_and_vote(plan: FloorPlan, lap: SecondLap) -> Figure:
-    """Return Figure 5: the tables of one direction that are compared, and the row that the vote finds."""
-    row = lap.voted["cosine"]
-    record, count = lap.record, len(lap.apart)
-    same = np.flatnonzero(record.direction[:count] == record.direction[lap.query])
+def indicators_and_position(lap: SecondLap) -> Figure:
+    """Return Figure 5: what direction indicators and position leave to compare, and the row that the vote finds."""
+    distances = lap.distances(MEASURES["cosine"], SECTORS)
+    query, found = _near_start(lap, distances, "direction, vote, position")
+    record, n = lap.record, lap.rows
+    direction = lap.candidates("direction, vote")[query]
+    near = lap.candidates("direction, vote, position")[query]
+    error = np.hypot(*(record.position[found] - record.position[n + query]))
     figure, axes = plan_figure(
-        plan,
-        "Indicators, groups and the vote of 4: tables of one direction are compared",
-        f"{len(same)} of {count} rows compared; cosine finds a place {lap.error(row):.1f} m from where the robot is",
+        load_floor_plan(record.settings.map),
+        "Indicators, groups, KNN and position",
+        f"{direction.sum()} of {n} rows have the direction, {near.sum()} of them lie near; found: {error:.1f} m away",
     )
-    others = np.setdiff1d(np.arange(count), same)
-    axes.plot(*record.position[others].T, ".", markersize=2, color="#c8c8c8", label="not compared", zorder=2.5)
-    axes.plot(*record.position[same].T, ".", markersize=4, color="#3c82cd", label="compared", zorder=3)
-    _mark(axes, lap, lap.voted)
-    add_legend(axes)
+    style: dict[str, Any] = {"linestyle": "", "marker": "."}
+    axes.plot(*record.position[:n][~direction].T, markersize=2, color="#c8c8c8", label="another direction", **style)
+    axes.plot(*record.position[:n][direction].T, markersize=4, color=BLUE, label="the same direction", **style)
+    axes.plot(*record.position[:n][near].T, markersize=7, color=ORANGE, label="and near", **style)
+    _mark_answer(axes, lap, query, found)
     return figure
 
 
-def _free_offset(place: np.ndarray, width: float, taken: list[np.ndarray]) -> tuple[float, float]:
-    """Return where a label's middle goes, off its place `(2,)`, so that it covers none of the boxes taken; points.
-
-    Boxes are west, south, east and north `(4,)`. If all is taken, the label goes above.
-    """
-    half = np.array([width / 2, 5.0])
-    offsets = list(itertools.product((0.0, half[0] + 4, -half[0] - 4), (13.0, -13.0, 25.0, -25.0, 37.0, -37.0)))
-    boxes = [np.concatenate([place + offset - half, place + offset + half]) for offset in offsets]
-    free = [all((box[:2] > one[2:]).any() or (box[2:] < one[:2]).any() for one in taken) for box in boxes]
-    best = int(np.argmax(free))
-    taken.append(boxes[best])
-    return offsets[best]
+def _near_start(lap: SecondLap, distances: np.ndarray, search: str) -> tuple[int, int]:
+    """Return the query a metre after the start of the second lap, and its answer."""
+    return 1, int(lap.answers(distances, search)[0][1])
 
 
-def _mark(axes: Axes, lap: SecondLap, found: Mapping[str, int]) -> None:
-    """Mark the query, and what each measure finds; those at one place have one label."""
-    position = lap.record.position
-    by_row: dict[int, list[str]] = {}
-    for name, row in found.items():
-        by_row.setdefault(row, []).append(name)
-    crosses = axes.transData.transform(position[list(by_row)]) / axes.figure.dpi * 72  # points
-    taken = [np.concatenate([cross - 6, cross + 6]) for cross in crosses]
-    for (row, names), cross in zip(by_row.items(), crosses, strict=True):
-        x, y = position[row]
-        colour, label = ("#d43d2a", "found by cosine") if "cosine" in names else ("#8c50a5", None)
-        axes.plot(x, y, marker="X", markersize=9, linestyle="", color=colour, label=label, zorder=6)
-        text = ", ".join(names)
-        offset = _free_offset(cross, 4.4 * len(text), taken)
-        halo = [withStroke(linewidth=2, foreground="white")]
-        style = {"textcoords": "offset points", "fontsize": 7.5, "color": colour, "path_effects": halo, "zorder": 8}
-        axes.annotate(text, (x, y), offset, ha="center", va="center", **style)
-    if any("cosine" not in names for names in by_row.values()):
-        axes.plot([], [], marker="X", markersize=9, linestyle="", color="#8c50a5", label="by other measures")
-    style = {"marker": "D", "markersize": 8, "markerfacecolor": "none", "markeredgewidth": 1.8, "color": "#111111"}
-    axes.plot(*position[lap.query], linestyle="", label="the robot", zorder=7, **style)
+def _mark_answer(axes: Axes, lap: SecondLap, query: int, found: int) -> None:
+    axes.plot(*lap.record.position[found], marker="X", markersize=9, linestyle="", color=RED, label="found", zorder=6)
+    x, y = lap.record.position[lap.rows + query]
+    axes.scatter(x, y, 64, marker="D", facecolors="none", edgecolors=BLACK, linewidths=1.8, label="the robot", zorder=7)
+    add_legend(axes)
 
 
-def finished_run(plan: FloorPlan, record: RunRecord, title: str) -> Figure:
+def finished_run(record: RunRecord) -> Figure:
     """Return Figure 6: the finished run with its numbered open areas, and where it stopped."""
-    m = record.metrics
+    m, plan = record.metrics, load_floor_plan(record.settings.map)
     states = m["area_states"]
-    counts = [
-        f"{states.count(state)} {state}" for state in ("visited", "reached another way", "open") if state in states
-    ]
+    counts = [f"{states.count(state)} {state}" for state in dict.fromkeys(states)]
     scores = (
-        f"{m['areas']} open areas: {', '.join(counts)}   {m['cycles_closed']} of {m['cycles_total']} cycles closed   "
+        f"open areas: {', '.join(counts)}   {m['cycles_closed']} of {m['cycles_total']} cycles closed   "
+        f"{m['false_claims']} false claims   {m['path_length_m']:,.0f} m   ended by: {m['ending']}"
     )
-    scores += f"{m['false_claims']} false claims   {m['path_length_m']:,.0f} m   ended by: {m['ending']}"
-    figure, axes = plan_figure(plan, title, scores)
-    way = record.way.astype(np.float64)
-    draw_path(axes, way)
-    groups = [np.flatnonzero(record.group == k) for k in range(m["groups"])]
+    figure, axes = plan_figure(plan, f"The finished run of the preset {record.settings.preset}", scores)
+    draw_path(axes, record.trajectory)
+    groups = [np.flatnonzero(record.group == k) for k in range(len(m["group_names"]))]
     named = zip(m["group_names"], groups, strict=True)
     draw_groups(axes, [(name, "NESW".index(name[0]), record.position[rows]) for name, rows in named])
-    draw_open_areas(axes, record.areas, list(range(1, m["areas"] + 1)), states)
-    draw_claims(axes, way, record.claims)
+    draw_open_areas(axes, record.areas, list(range(1, len(states) + 1)), states)
+    draw_claims(axes, record.trajectory, record.claims)
     add_legend(axes)
     return figure
 
 
-def recognition_curves(tables: Mapping[str, Sequence[Mapping[str, Any]]]) -> Figure:
-    """Return curves of precision over recall of all measures: two vectors, rows as explored and driven again."""
-    figure = Figure((10, 8), layout="constrained")
-    grid = figure.subplots(2, 2)
-    for line, vectors in enumerate(VECTORS):
-        for column, test in enumerate((EXPLORER, AGAIN)):
-            axes = grid[line, column]
-            for entry in tables[test]:
-                if entry["vectors"] != vectors or entry["candidates"] not in ("points", "same direction"):
-                    continue
-                gated = entry["candidates"] == "same direction"
-                style = {"color": COLOURS[entry["measure"]], "linestyle": "-" if gated else ":", "linewidth": 1.3}
-                if gated:
-                    style |= {"marker": MARKERS[entry["measure"]], "markevery": 0.15, "markersize": 4.5}
-                label = entry["measure"] if gated else None
-                axes.plot(entry["curve"]["recall"], entry["curve"]["precision"], label=label, **style)
-            axes.set_title(f"{vectors}, rows {test}", fontsize=10)
-            axes.set(xlim=(0, None), ylim=(0, None))
-            axes.grid(linewidth=0.3)
-    for axes in grid[1]:
-        axes.set_xlabel("recall, of rows that return anywhere")
-    for axes in grid[:, 0]:
-        axes.set_ylabel("precision of the best candidate")
-    handles, labels = grid[0, 0].get_legend_handles_labels()
-    (dotted,) = grid[0, 0].plot([], [], ":", color="#333333")
-    names = [*labels, "dotted: all points"]
-    figure.legend([*handles, dotted], names, loc="outside lower center", ncols=5, frameon=False, fontsize=9)
-    return figure
-
-
-GROWTH = {
-    "points": {"label": "all points", "color": "#d43d2a", "linestyle": "-"},
-    "direction": {"label": "same direction", "color": "#3c82cd", "linestyle": "--"},
-    "groups": {"label": "groups first", "color": "#111111", "linestyle": ":"},
-}
-BINS = 40
-
-
-def growth(result: Mapping[str, Sequence[float]]) -> Figure:
-    """Return what a search costs as the run grows: comparisons, and time."""
+def growth(frame: pd.DataFrame) -> Figure:
+    """Return what a search costs as the run grows: comparisons, and median time."""
     figure = Figure((10, 3.8), layout="constrained")
     axes, times = figure.subplots(1, 2)
-    path = np.array(result["path"]) / 1000
-    bins = np.linspace(0, path.max(), BINS + 1)
-    middle = 0.5 * (bins[1:] + bins[:-1])
-    which = np.clip(np.digitize(path, bins) - 1, 0, BINS - 1)
-    for name, style in GROWTH.items():
-        compared, seconds = np.array(result[name]), np.array(result[f"{name}_s"])
-        there = np.unique(which)
-        axes.plot(middle[there], [compared[which == k].mean() for k in there], **style)
-        times.plot(middle[there], [1e6 * np.median(seconds[which == k]) for k in there], **style)
-    axes.set(xlabel="driven, km", ylabel="rows and centres compared for a query", yscale="log")
-    times.set(xlabel="driven, km", ylabel="microseconds for a query (median)", ylim=(0, None))
+    bins = pd.cut(frame.path_m / 1000, 40)
+    binned = frame.groupby(bins, observed=True)
+    kilometres = binned.path_m.mean() / 1000
+    labels = {"points": "all points", "direction": "earlier groups of the direction", "groups": "their centres"}
+    for (name, label), color, line in zip(labels.items(), (RED, BLUE, BLACK), ("-", "--", ":"), strict=True):
+        axes.plot(kilometres, binned[name].mean(), color=color, linestyle=line, label=label)
+        times.plot(kilometres, 1e6 * binned[f"{name}_s"].median(), color=color, linestyle=line)
+    axes.set(xlabel="driven, km", ylabel="comparisons of a query", yscale="log")
+    times.set(xlabel="driven, km", ylabel="microseconds of a query (median)", ylim=(0, None))
     for each in (axes, times):
         each.grid(linewidth=0.3)
-    times.legend(frameon=False, fontsize=9)
+    axes.legend(frameon=False, fontsize=9)
     return figure
 
 
-def noise(entries: Sequence[Mapping[str, Any]]) -> Figure:
-    """Return scores over the noise, by agent."""
+def noise(frame: pd.DataFrame) -> Figure:
+    """Return scores over the scale of the noise, by explorer, with 95 % intervals over plans."""
     figure = Figure((10, 3.6), layout="constrained")
-    panels = {"cycles_share": "share of cycles closed", "false_claims": "false claims a run", "recall": "recall"}
-    for axes, (key, title) in zip(figure.subplots(1, 3), panels.items(), strict=True):
-        for agent, style in AGENT_STYLES.items():
-            mine = [entry for entry in entries if entry["agent"] == agent and entry["scale"] is not None]
-            scales = [entry["scale"] for entry in mine]
-            axes.plot(scales, [entry[key] for entry in mine], label=agent, clip_on=False, zorder=3, **style)
-        axes.set(xlabel="noise, as a share of poor", ylabel=title)
-        if key == "false_claims":
+    panels = {"cycles_share": "share of cycles closed", "false_claims": "false claims a run", "success": "success"}
+    for axes, (metric, title) in zip(figure.subplots(1, 3), panels.items(), strict=True):
+        entries = intervals(frame, ("explorer", "scale"), metric).fillna({"low": np.nan, "high": np.nan})
+        for offset, (explorer, style) in zip((-0.012, -0.004, 0.004, 0.012), STYLES.items(), strict=True):
+            mine = entries.loc[explorer]
+            low, high = mine.low.fillna(mine["mean"]).clip(0), mine.high.fillna(mine["mean"])
+            if metric != "false_claims":
+                high = high.clip(upper=1)
+            span = np.maximum([mine["mean"] - low, high - mine["mean"]], 0)
+            axes.errorbar(mine.index + offset, mine["mean"], span, label=explorer, elinewidth=0.8, **style)
+        axes.set(xlabel="noise, as a share of `poor`", ylabel=title)
+        if metric == "false_claims":
             axes.set_yscale("symlog", linthresh=1)
-        axes.set_ylim(0, None if key == "false_claims" else 1.04)
+        axes.set_ylim(0, None if metric == "false_claims" else 1.04)
         axes.grid(linewidth=0.3)
-    handles, labels = figure.axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
+    handles, names = figure.axes[0].get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=9)
     return figure
 
 
-def measures(entries: Sequence[Mapping[str, Any]]) -> Figure:
-    """Return areas under the curves of all measures, with their intervals."""
-    figure = Figure((10, 6.2), layout="constrained")
-    grid = figure.subplots(2, 2, sharey=True)
-    for line, vectors in enumerate(VECTORS):
-        for column, test in enumerate((EXPLORER, AGAIN)):
-            axes = grid[line, column]
-            mine = [entry for entry in entries if entry["vectors"] == vectors and entry["rows"] == test]
-            for k, entry in enumerate(mine):
-                span = [[entry["area"] - entry["area_low"]], [entry["area_high"] - entry["area"]]]
-                colour = COLOURS[entry["measure"]]
-                axes.errorbar(
-                    entry["area"], k, xerr=np.maximum(span, 0), fmt=MARKERS[entry["measure"]], color=colour, capsize=3
-                )
-            axes.set_yticks(range(len(mine)), [entry["measure"] for entry in mine])
-            axes.set_title(f"{vectors}, rows {test}", fontsize=10)
-            axes.set_xlim(0, None)
-            axes.grid(linewidth=0.3)
-    for axes in grid[1]:
-        axes.set_xlabel("mean area under precision over recall")
-    grid[0, 0].invert_yaxis()
+def measures(frame: pd.DataFrame) -> Figure:
+    """Return the average precision of each measure, with 95 % intervals over plans, for both kinds of vectors."""
+    figure = Figure((10, 3.4), layout="constrained")
+    for axes, vectors in zip(figure.subplots(1, 2, sharey=True), (SECTORS, BEAMS), strict=True):
+        mine = frame.query("vectors == @vectors and search == 'direction' and noise == 'calibrated'")
+        entries = intervals(mine, ("measure",), "average_precision").loc[list(MEASURES)[::-1]]
+        low, high = entries.low.fillna(entries["mean"]), entries.high.fillna(entries["mean"])
+        span = np.maximum([entries["mean"] - low.clip(0), high.clip(upper=1) - entries["mean"]], 0)
+        axes.errorbar(entries["mean"], range(len(entries)), xerr=span, fmt="o", color=BLUE, capsize=3)
+        axes.set_yticks(range(len(entries)), list(entries.index))
+        axes.set(title=vectors, xlabel="average precision, mean over plans", xlim=(0, 1))
+        axes.grid(linewidth=0.3)
     return figure

@@ -1,0 +1,88 @@
+"""A folder that keeps the results of slow work, and the processes that do what is missing."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import signal
+from collections.abc import Callable, Sequence
+from functools import lru_cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from joblib import Memory, Parallel, delayed, parallel_config
+
+from cyclic_env import __version__
+from scripts._cli import progress_bar
+from scripts.paper.runs import RunRecord, RunSettings, run_explorer
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = ("agents/knn/*", "agents/slam/*.py", "agents/exploration/*.py", "cyclic_env/**/*.py", "maps/*.yaml")
+"""Files that results depend on, as patterns below the root."""
+LIBRARIES = ("numpy", "scipy", "numba", "pymunk", "shapely")
+
+
+@lru_cache(maxsize=1)
+def code_version() -> str:
+    """Return the package's version and a digest of all code and data that a run depends on."""
+    digest = hashlib.sha256(json.dumps({name: version(name) for name in LIBRARIES}).encode())
+    for file in sorted({file for pattern in SOURCES for file in ROOT.glob(pattern) if file.is_file()}):
+        if "rendering" not in file.parts:
+            digest.update(file.relative_to(ROOT).as_posix().encode() + b"\0" + file.read_bytes())
+    return f"{__version__}-{digest.hexdigest()[:12]}"
+
+
+def _run(settings: RunSettings, code: str) -> RunRecord:
+    return run_explorer(settings)
+
+
+class Store:
+    """Results by what they depend on: the arguments and the code.
+
+    Parameters
+    ----------
+    folder : Path
+    processes : int
+        Most runs at once.
+    """
+
+    def __init__(self, folder: Path, processes: int = 2) -> None:
+        self._memory = Memory(folder, verbose=0)
+        self._run: Any = self._memory.cache(_run)
+        self.processes = processes
+
+    def record(self, settings: RunSettings) -> RunRecord:
+        """Return the record of a run, which is run unless it is there."""
+        return self._run(settings, code_version())
+
+    def result(self, work: Callable[..., Any], *arguments: Any) -> Any:
+        """Return what a module's function returns for arguments, worked out unless it is there."""
+        return self._memory.cache(work)(*arguments)
+
+    def missing(self, runs: Sequence[RunSettings]) -> list[RunSettings]:
+        """Return the runs whose records are not there."""
+        code = code_version()
+        return [settings for settings in runs if not self._run.check_call_in_cache(settings, code)]
+
+    def run_all(self, runs: Sequence[RunSettings]) -> None:
+        """Run what is missing, several at once, with progress on stderr. Finished runs survive an interrupt."""
+        code, left = code_version(), self.missing(runs)
+        with (
+            parallel_config("loky", n_jobs=self.processes, initializer=_ignore_interrupts),
+            progress_bar(total=len(runs), unit="run", initial=len(runs) - len(left)) as progress,
+        ):
+            finished: Any = Parallel(return_as="generator_unordered")(
+                delayed(_keep)(self._run, settings, code) for settings in left
+            )
+            for _ in finished:
+                progress.update()
+
+
+def _keep(run: Any, settings: RunSettings, code: str) -> None:
+    run(settings, code)
+
+
+def _ignore_interrupts() -> None:
+    """Leave Ctrl-C to the parent process, which ends its workers."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
