@@ -190,17 +190,6 @@ def _signal_of(interrupt: KeyboardInterrupt) -> int:
     return interrupt.args[0] if interrupt.args else signal.SIGINT
 
 
-@contextlib.contextmanager
-def uninterrupted() -> Iterator[None]:
-    """Ignore the terminal's signals within the block; processes that begin in it go on ignoring them."""
-    before = {signum: signal.signal(signum, signal.SIG_IGN) for signum in SIGNALS if signum != signal.SIGTERM}
-    try:
-        yield
-    finally:
-        for signum, handler in before.items():
-            signal.signal(signum, handler)
-
-
 def progress_bar(total: int | None = None, unit: str = "it", **options: Any) -> tqdm:
     """Return a bar on stderr that goes away at its end, or where stderr is no terminal a line every `REPORT_S`."""
     from tqdm import tqdm

@@ -12,7 +12,7 @@ from agents.exploration.frontiers import Frontiers
 from agents.exploration.visibility import clear_beam, clear_lengths
 from agents.settings import ComponentConfig
 from agents.slam.keyframes import Keyframes, Paths
-from agents.slam.se2 import euclidean_distances, wrap, wrap_all
+from agents.slam.se2 import euclidean_distances, wrap_angle
 from cyclic_env.jit import compiled
 
 
@@ -158,7 +158,7 @@ class Planner:
         on_map = np.isfinite(costs) & keyframes.is_direct(around, euclidean_m, self.config.map_reach)
         costs = np.where(on_map, costs, around + frontiers.polar[:, 0] + self.config.off_map_cost)
         bearings = np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2]
-        turning = self.config.turn_cost * np.abs(wrap_all(bearings))
+        turning = self.config.turn_cost * np.abs(wrap_angle(bearings))
         costs += turning + self._kind_cost[frontiers.polar[:, 2].astype(np.int64)]
         return costs, ends, on_map
 
@@ -262,8 +262,8 @@ def steer_to(
     """
     for need in (min(config.clear_ahead, distance), config.clear_ahead_min):
         free = clear_beam(clear, bearing, need)
-        if abs(wrap(free - bearing)) <= avoidance:  # else, as between door posts, the path is trusted
-            bearing = wrap(free)
+        if abs(wrap_angle(free - bearing)) <= avoidance:  # else, as between door posts, the path is trusted
+            bearing = wrap_angle(free)
             break
     turn = max(-1.0, min(1.0, config.turn_gain * bearing))
     # Turn on the spot when the path is off to the side or behind, and slow down for what is ahead.

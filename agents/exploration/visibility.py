@@ -202,9 +202,7 @@ def open_points(ranges, range_max, out, values):
         if a >= free and b >= free:
             first, last, beam, kind = range_max - values.reach_clearance, range_max, k + 0.5, UNBOUNDED
         elif abs(a - b) > values.jump:
-            if _continues(ranges, range_max, k, -1, other, values) or _continues(
-                ranges, range_max, other, 1, k, values
-            ):
+            if _on_one_wall(ranges, range_max, k, other, values):
                 # One wall seen at a slant, or an opening in it that both beams miss.
                 if abs(a - b) > values.jump_doubtful and count < out.shape[0]:
                     out[count, 0], out[count, 1], out[count, 2] = 0.5 * (a + b), k + 0.5, DOUBTFUL

@@ -61,7 +61,7 @@ class DetectorConfig(ComponentConfig):
     gap: float = 20.1
     """Metres driven since a keyframe before the robot can be back at it: as a revisit is defined, and a bit more."""
     leave: float = 10.1
-    """Metres that it must have been away in between: likewise."""
+    """Metres that it must have been away in between: as a revisit is defined, and a bit more."""
     at_keyframe: float = 2.5
     """Distance from a keyframe at which the robot is back there: half a metre less than counts."""
     sight_half_width: float = 0.2

@@ -12,7 +12,7 @@ from agents.exploration.planner import Planner
 from agents.knn.config import ExplorerConfig
 from agents.knn.loop_detector import Detection
 from agents.knn.observer import LoopObserver
-from agents.slam.se2 import euclidean_distances, wrap_all
+from agents.slam.se2 import euclidean_distances, wrap_angle
 
 
 class KnnExplorer(LoopObserver, Agent):
@@ -112,7 +112,7 @@ class KnnExplorer(LoopObserver, Agent):
                 return np.where(frontiers.area == frontiers.area[np.argmin(from_goal)], 0.0, np.inf)
         if config.go_on and not self.visited:
             pose = self.tracker.pose
-            bearings = wrap_all(np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2])
+            bearings = wrap_angle(np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2])
             ahead = np.abs(bearings) < config.observer.ahead
             ahead &= frontiers.keyframe >= self.keyframes.count - config.observer.in_sight_rows
             if ahead.any():

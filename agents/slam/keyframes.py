@@ -102,8 +102,63 @@ def shortest_paths(graph, source, paths, queue, waiting):
                     waiting[j] = True
 
 
-class Keyframes:
+class KeyframeTable:
     """A table with a row for each keyframe, which grows as they are added, and the connections between them.
+
+    Its attributes are the used rows of its columns.
+
+    Parameters
+    ----------
+    columns : dict of (CAPACITY, ...) arrays
+        By name, all zeros. They have a ``pose`` `(3,)` and a ``step``.
+    neighbors : int
+        Keyframes that one can be connected to at most.
+    """
+
+    pose: np.ndarray
+    step: np.ndarray
+    neighbors: np.ndarray
+    degrees: np.ndarray
+    queue: np.ndarray
+    waiting: np.ndarray
+
+    def __init__(self, columns: dict[str, np.ndarray], neighbors: int) -> None:
+        self.count = 0
+        whole: dict[str, tuple[int, ...]] = {"neighbors": (neighbors,), "degrees": (), "queue": ()}
+        graph = {name: np.zeros((CAPACITY, *shape), np.int64) for name, shape in whole.items()}
+        self._columns = columns | graph | {"waiting": np.zeros(CAPACITY, np.bool_)}
+        self._show()
+
+    def _show(self) -> None:
+        """Let the attributes be the used parts of the columns."""
+        for name, column in self._columns.items():
+            setattr(self, name, column[: self.count])
+
+    def add(self, **values: Any) -> int:
+        """Add a keyframe with a value for each attribute, connected to the last one; return its number."""
+        if self.count == len(self._columns["step"]):
+            self._columns = {name: np.concatenate([old, np.zeros_like(old)]) for name, old in self._columns.items()}
+        self.count += 1
+        self._show()
+        for name, value in values.items():
+            getattr(self, name)[-1] = value
+        if self.count > 1:
+            self.connect(self.count - 2, self.count - 1)
+        return self.count - 1
+
+    def connect(self, i: int, j: int) -> None:
+        """Let a way lead straight from one keyframe to another."""
+        connect(self.neighbors, self.degrees, i, j)
+
+    def geodesic_distances(self, source: int) -> Paths:
+        """Return the shortest paths from a keyframe to all others."""
+        paths = Paths(np.empty(self.count), np.empty(self.count, np.int64))
+        shortest_paths(Graph(self.neighbors, self.degrees, self.pose), source, paths, self.queue, self.waiting)
+        return paths
+
+
+class Keyframes(KeyframeTable):
+    """The keyframes of an explorer.
 
     Parameters
     ----------
@@ -133,7 +188,6 @@ class Keyframes:
         Metres driven since the reset.
     """
 
-    pose: np.ndarray
     odometry: np.ndarray
     scan: np.ndarray
     endpoints: np.ndarray
@@ -142,16 +196,10 @@ class Keyframes:
     compass: np.ndarray
     direction: np.ndarray
     group: np.ndarray
-    step: np.ndarray
     path: np.ndarray
-    neighbors: np.ndarray
-    degrees: np.ndarray
-    queue: np.ndarray
-    waiting: np.ndarray
 
     def __init__(self, beams: int, sectors: int, config: KeyframeConfig | None = None) -> None:
         self.config = config or KeyframeConfig()
-        self.count = 0
         shapes: dict[str, tuple[int, ...]] = {
             "pose": (3,),
             "odometry": (2,),
@@ -162,39 +210,9 @@ class Keyframes:
             "compass": (),
             "path": (),
         }
-        whole: dict[str, tuple[int, ...]] = {"direction": (), "group": (), "step": (), "degrees": (), "queue": ()}
-        whole["neighbors"] = (self.config.neighbors,)
-        self._columns: dict[str, np.ndarray] = {name: np.zeros((CAPACITY, *shape)) for name, shape in shapes.items()}
-        self._columns |= {name: np.zeros((CAPACITY, *shape), np.int64) for name, shape in whole.items()}
-        self._columns["waiting"] = np.zeros(CAPACITY, np.bool_)
-        self._show()
-
-    def _show(self) -> None:
-        """Let the attributes be the used parts of the columns."""
-        for name, column in self._columns.items():
-            setattr(self, name, column[: self.count])
-
-    def add(self, **values: Any) -> int:
-        """Add a keyframe with a value for each attribute, connected to the last one; return its number."""
-        if self.count == len(self._columns["step"]):
-            self._columns = {name: np.concatenate([old, np.zeros_like(old)]) for name, old in self._columns.items()}
-        self.count += 1
-        self._show()
-        for name, value in values.items():
-            getattr(self, name)[-1] = value
-        if self.count > 1:
-            self.connect(self.count - 2, self.count - 1)
-        return self.count - 1
-
-    def connect(self, i: int, j: int) -> None:
-        """Let a way lead straight from one keyframe to another."""
-        connect(self.neighbors, self.degrees, i, j)
-
-    def geodesic_distances(self, source: int) -> Paths:
-        """Return the shortest paths from a keyframe to all others."""
-        paths = Paths(np.empty(self.count), np.empty(self.count, np.int64))
-        shortest_paths(Graph(self.neighbors, self.degrees, self.pose), source, paths, self.queue, self.waiting)
-        return paths
+        columns = {name: np.zeros((CAPACITY, *shape)) for name, shape in shapes.items()}
+        columns |= {name: np.zeros(CAPACITY, np.int64) for name in ("direction", "group", "step")}
+        super().__init__(columns, self.config.neighbors)
 
     def is_direct(self, geodesic_m: np.ndarray, euclidean_m: np.ndarray, slack: float = 0.0) -> np.ndarray:
         """Return where a way is so little longer than the straight line that no unclosed loop lies between its ends.

@@ -15,7 +15,7 @@ from agents.slam.panorama import signature_distances
 from agents.slam.registration import PanoramaMatcher, Registration
 from agents.slam.run_map import RunMap
 from agents.slam.scan_matching import Reference
-from agents.slam.se2 import compose, euclidean_distances, relative, wrap_all
+from agents.slam.se2 import compose, euclidean_distances, relative, wrap_angle
 
 SEARCH = np.array([(x, 0.0, math.radians(turn)) for x in (0, -1, 1, -2, 2) for turn in (0, 7, -7, 14, -14)])
 """Where a panorama is tried about a candidate: the best of these are matched."""
@@ -132,7 +132,7 @@ class LoopCloser:
         back = revisit_candidates(run, euclidean_m, config)
         if not len(back):
             return False
-        geodesic_m = run.geodesic_distances(i)
+        geodesic_m = run.geodesic_distances(i).distances
         direct = geodesic_m <= euclidean_m + config.detour
         near = back[(direct[back] | (geodesic_m[back] < config.familiar)) & (euclidean_m[back] < config.near)]
         near = near[in_sight(run.panorama[i], run.pose[i], run.pose[near])]
@@ -216,7 +216,7 @@ class LoopCloser:
         latest = np.flatnonzero(later == i)
         best = latest[np.lexsort([-agreement[latest], -worth[latest]])[0]]
         elsewhere = euclidean_distances(now, now[best]) > config.rival_distance
-        elsewhere |= np.abs(wrap_all(now[:, 2] - now[best, 2])) > config.rival_heading
+        elsewhere |= np.abs(wrap_angle(now[:, 2] - now[best, 2])) > config.rival_heading
         rival = worth[elsewhere].max(initial=0.0)
         members = sets[best]
         firm = sum(pending[k].found.min_eigenvalue > config.firm for k in members)

@@ -16,7 +16,7 @@ from agents.slam.registration import PanoramaMatcher
 from agents.slam.run_map import RunMap
 from agents.slam.scan_filters import despeckle
 from agents.slam.scan_matching import MatcherConfig
-from agents.slam.se2 import compose, euclidean_distances, wrap
+from agents.slam.se2 import compose, euclidean_distances, wrap_angle
 from cyclic_env.config import LaserConfig
 
 
@@ -107,7 +107,7 @@ class Mapper:
         config, run = self.config.keyframing, self.run
         self.step += 1
         before = (distance, heading) if self._last is None else self._last
-        driven, turn = distance - before[0], wrap(heading - before[1])
+        driven, turn = distance - before[0], wrap_angle(heading - before[1])
         self._last = (distance, heading)
         self.path += abs(driven)
         chord = driven * np.array([math.cos(0.5 * turn), math.sin(0.5 * turn)])

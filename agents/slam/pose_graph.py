@@ -14,7 +14,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
 
 from agents.settings import ComponentConfig
-from agents.slam.se2 import relative, wrap_all
+from agents.slam.se2 import relative, wrap_angle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,8 +60,7 @@ def optimize(
     n, unary = len(poses), 3 * np.arange(len(poses)) + 2
     i, j = edges.T
     for _ in range(config.iterations):
-        error = relative(poses[i], poses[j]) - measured
-        error[:, 2] = wrap_all(error[:, 2])
+        error = residuals(poses, edges, measured)
         values, rows, columns, gradient = [], [], [], np.zeros((n, 3))
         jacobians = edge_jacobians(poses[i], poses[j])
         for a, of_a in zip((i, j), jacobians, strict=True):
@@ -71,16 +70,23 @@ def optimize(
                 values.append((weighted @ of_b).ravel())
                 rows.append((3 * a[:, None, None] + np.arange(3)[:, None] + np.zeros((1, 1, 3), int)).ravel())
                 columns.append((3 * b[:, None, None] + np.arange(3) + np.zeros((1, 3, 1), int)).ravel())
-        gradient[:, 2] += heading_information * wrap_all(poses[:, 2] - headings)
+        gradient[:, 2] += heading_information * wrap_angle(poses[:, 2] - headings)
         entries = np.concatenate([*values, heading_information])
         where = np.concatenate([*rows, unary]), np.concatenate([*columns, unary])
         hessian = coo_array((entries, where), (3 * n, 3 * n)).tocsc()
         step = -splu(hessian[3:, 3:]).solve(gradient.ravel()[3:]).reshape(-1, 3)
         poses[1:] += step
-        poses[:, 2] = wrap_all(poses[:, 2])
+        poses[:, 2] = wrap_angle(poses[:, 2])
         if np.abs(step).max() < config.step_tolerance:
             break
     return poses
+
+
+def residuals(poses: np.ndarray, edges: np.ndarray, measured: np.ndarray) -> np.ndarray:
+    """Return by how much the edges' relative poses `(m, 3)` differ from those measured."""
+    error = relative(poses[edges[:, 0]], poses[edges[:, 1]]) - measured
+    error[:, 2] = wrap_angle(error[:, 2])
+    return error
 
 
 def edge_jacobians(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

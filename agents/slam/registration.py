@@ -12,7 +12,8 @@ import numpy as np
 
 from agents.settings import pack
 from agents.slam.scan_filters import SHORT_OF_REACH
-from agents.slam.scan_matching import Estimate, MatcherConfig, MatcherValues, Prior, Reference, align, fit_wall_lines
+from agents.slam.scan_matching import Estimate, MatcherConfig, MatcherValues, Prior, Reference, align, min_eigenvalue
+from agents.slam.wall_lines import fit_wall_lines
 from cyclic_env.jit import compiled
 
 WIDE, TIGHT = 0.25, 0.10
@@ -36,7 +37,7 @@ class Registration(NamedTuple):
         Shares of the endpoints that agree within `WIDE` and `TIGHT`, among those that can be judged; the less of both
         ways round.
     seen : int
-        Endpoints that agree, likewise.
+        Number of endpoints that agree; the fewer of both ways round.
     min_eigenvalue : float
         How many endpoints, at least, tell the position in any direction: few along a plain corridor.
     """
@@ -184,8 +185,7 @@ class PanoramaMatcher:
         register_from(reference, panorama, endpoints, self.range_max, starts, std, self._values, trial, best, quality)
         variance = self.config.endpoint_std**2
         wide, tight, seen = quality[1].tolist()
-        a, b, c = best.hessian[0, 0], best.hessian[0, 1], best.hessian[1, 1]
-        weakest = 0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b)
+        weakest = min_eigenvalue(best.hessian)
         return Registration(best.pose, best.hessian / variance, wide, tight, int(seen), weakest)
 
     def likely_starts(self, reference: np.ndarray, panorama: np.ndarray, starts: np.ndarray, count: int) -> np.ndarray:

@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from agents.slam.pose_graph import PoseGraphConfig, optimize
-from agents.slam.se2 import relative, wrap_all
+from agents.slam.pose_graph import PoseGraphConfig, optimize, residuals
 
 GROWTH = 1.6
 """By which the control parameter grows from one round to the next; the authors take 1.4."""
@@ -19,8 +18,7 @@ ROUNDS = 30
 
 def squared_errors(poses: np.ndarray, edges: np.ndarray, measured: np.ndarray, information: np.ndarray) -> np.ndarray:
     """Return the squared errors `(m,)` of a graph's edges, in standard deviations."""
-    error = relative(poses[edges[:, 0]], poses[edges[:, 1]]) - measured
-    error[:, 2] = wrap_all(error[:, 2])
+    error = residuals(poses, edges, measured)
     return np.einsum("mi,mij,mj->m", error, information, error)
 
 

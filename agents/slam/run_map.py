@@ -6,14 +6,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.slam.keyframes import Graph, Paths, connect, shortest_paths
+from agents.slam.keyframes import CAPACITY, KeyframeTable
 from agents.slam.panorama import SIGNATURE_SECTORS
 from agents.slam.pose_graph import PoseGraphConfig
 from agents.slam.registration import Registration
 from agents.slam.robust_graph import optimize_robustly
 
-CAPACITY = 256
-"""Rows at first; their number doubles when it is reached."""
 NEIGHBORS = 16
 """Keyframes that one can be connected to at most; more would add no new ways."""
 POSITION_STD, HEADING_STD = 0.01, np.radians(0.1)
@@ -31,8 +29,8 @@ class LoopEdge(NamedTuple):
     """The number of the closure that found it: its edges are right or wrong together."""
 
 
-class RunMap:
-    """A table with a row for each keyframe, which grows, and the pose graph over it.
+class RunMap(KeyframeTable):
+    """The keyframes of a run, and the pose graph over them.
 
     Parameters
     ----------
@@ -63,13 +61,11 @@ class RunMap:
         The last loop closure when the keyframe was tied to known ground; -1 for none.
     """
 
-    pose: np.ndarray
     scan: np.ndarray
     panorama: np.ndarray
     lines: np.ndarray
     signature: np.ndarray
     path: np.ndarray
-    step: np.ndarray
     heading: np.ndarray
     heading_information: np.ndarray
     known: np.ndarray
@@ -77,13 +73,8 @@ class RunMap:
     measured: np.ndarray
     information: np.ndarray
     closure: np.ndarray
-    neighbors: np.ndarray
-    degrees: np.ndarray
-    queue: np.ndarray
-    waiting: np.ndarray
 
     def __init__(self, beams: int, slots: int) -> None:
-        self.count = 0
         self.closures = 0
         self.loops: list[LoopEdge] = []
         shapes: dict[str, tuple[type, tuple[int, ...]]] = {
@@ -101,41 +92,15 @@ class RunMap:
             "measured": (np.float64, (slots, 3)),
             "information": (np.float64, (slots, 3, 3)),
             "closure": (np.int64, ()),
-            "neighbors": (np.int64, (NEIGHBORS,)),
-            "degrees": (np.int64, ()),
-            "queue": (np.int64, ()),
-            "waiting": (np.bool_, ()),
         }
-        self._columns = {name: np.zeros((CAPACITY, *shape), kind) for name, (kind, shape) in shapes.items()}
-        self._show()
-
-    def _show(self) -> None:
-        for name, column in self._columns.items():
-            setattr(self, name, column[: self.count])
+        columns = {name: np.zeros((CAPACITY, *shape), kind) for name, (kind, shape) in shapes.items()}
+        super().__init__(columns, NEIGHBORS)
 
     def add(self, **values: Any) -> int:
-        """Add a keyframe, connected to the last one; return its number."""
-        if self.count == len(self._columns["step"]):
-            self._columns = {name: np.concatenate([old, np.zeros_like(old)]) for name, old in self._columns.items()}
-        self.count += 1
-        self._show()
-        for name, value in values.items():
-            getattr(self, name)[-1] = value
+        """Add a keyframe without edges, connected to the last one; return its number."""
+        number = super().add(**values)
         self.sources[-1] = self.closure[-1] = -1
-        if self.count > 1:
-            self.connect(self.count - 2, self.count - 1)
-        return self.count - 1
-
-    def connect(self, i: int, j: int) -> None:
-        """Let a way lead from keyframe i to j."""
-        connect(self.neighbors, self.degrees, i, j)
-
-    def geodesic_distances(self, source: int) -> np.ndarray:
-        """Return the lengths `(n,)` of the shortest ways from a keyframe to all."""
-        paths = Paths(np.empty(self.count), np.empty(self.count, np.int64))
-        graph = Graph(self.neighbors, self.degrees, self.pose)
-        shortest_paths(graph, source, paths, self.queue, self.waiting)
-        return paths.distances
+        return number
 
     def set_edge(self, i: int, slot: int, source: int, found: Registration) -> None:
         """Tie keyframe i to an earlier one as a match has it."""

@@ -31,6 +31,7 @@ from agents.settings import ComponentConfig, kernel_tuple, pack
 from agents.slam.keyframes import Keyframes
 from agents.slam.scan_filters import SHORT_OF_REACH
 from agents.slam.se2 import compose, relative
+from agents.slam.wall_lines import fit_wall_lines
 from cyclic_env.jit import compiled
 
 
@@ -96,49 +97,6 @@ class Estimate(NamedTuple):
     pose: np.ndarray
     hessian: np.ndarray
     gradient: np.ndarray
-
-
-@compiled
-def fit_wall_lines(ranges, range_max, lines, values):
-    """Write into `lines` `(beams, 3)` the walls at the endpoints: unit normal and offset, in the frame of the scan.
-
-    A point (x, y) is on a wall (nx, ny, offset) where nx x + ny y = offset. A line is fitted to each endpoint and as
-    many of its neighbors on both sides as are in line with it; (0, 0, 0) where these are too few, or met no wall.
-    """
-    n = ranges.shape[0]
-    spacing = 2 * math.pi / n
-    for k in range(n):
-        lines[k, 0] = lines[k, 1] = lines[k, 2] = 0.0
-        for reach in range(values.line_reach_min, values.line_reach_max + 1):
-            count = 2 * reach + 1
-            mx = my = 0.0
-            wall = True
-            for i in range(k - reach, k + reach + 1):
-                r = ranges[i % n]
-                wall = wall and r < range_max - SHORT_OF_REACH
-                mx += r * math.cos(i * spacing) / count
-                my += r * math.sin(i * spacing) / count
-            if not wall:
-                break
-            a, b = ranges[(k - reach) % n], ranges[(k + reach) % n]
-            length = math.sqrt(max(0.0, a * a + b * b - 2 * a * b * math.cos(2 * reach * spacing)))
-            if length < values.line_length_min:
-                continue
-            xx = xy = yy = 0.0
-            for i in range(k - reach, k + reach + 1):
-                dx = ranges[i % n] * math.cos(i * spacing) - mx
-                dy = ranges[i % n] * math.sin(i * spacing) - my
-                xx += dx * dx
-                xy += dx * dy
-                yy += dy * dy
-            across = 0.5 * (xx + yy - math.sqrt((xx - yy) ** 2 + 4 * xy * xy))
-            if across > count * values.line_rms_max**2:
-                break
-            along = 0.5 * math.atan2(2 * xy, xx - yy)
-            lines[k, 0], lines[k, 1] = -math.sin(along), math.cos(along)
-            lines[k, 2] = lines[k, 0] * mx + lines[k, 1] * my
-            if length > values.line_length_enough:
-                break
 
 
 @compiled
@@ -322,6 +280,12 @@ def compare_endpoints(reference, ranges, range_max, pose, tolerance):
     return agree / max(1, agree + against), agree
 
 
+def min_eigenvalue(information: np.ndarray) -> float:
+    """Return the least eigenvalue of a symmetric matrix's upper left `(2, 2)`, that of the position."""
+    a, b, c = information[0, 0], information[0, 1], information[1, 1]
+    return 0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Match:
     """A scan matched with that of a keyframe."""
@@ -391,8 +355,8 @@ class ScanMatcher:
         tolerance = self.config.tolerance
         ratio, inliers = compare_endpoints(reference.ranges, scan, self.range_max, found.pose, tolerance)
         ratio_back, inliers_back = compare_endpoints(scan, reference.ranges, self.range_max, back, tolerance)
-        information, variance = found.hessian / self.config.endpoint_std**2, self.config.endpoint_std**2
-        a, b, c = information[0, 0], information[0, 1], information[1, 1]
+        variance = self.config.endpoint_std**2
+        information = found.hessian / variance
         return Match(
             keyframe=int(keyframe),
             pose=compose(keyframes.pose[keyframe], found.pose),
@@ -400,5 +364,5 @@ class ScanMatcher:
             information=information,
             inlier_ratio=min(ratio, ratio_back),
             num_inliers=min(inliers, inliers_back),
-            min_eigenvalue=variance * (0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b)),
+            min_eigenvalue=variance * min_eigenvalue(information),
         )

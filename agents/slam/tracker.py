@@ -12,7 +12,7 @@ from agents.settings import ComponentConfig
 from agents.slam.keyframes import Keyframes
 from agents.slam.pose_graph import PoseGraphConfig, optimize
 from agents.slam.scan_matching import Match, ScanMatcher
-from agents.slam.se2 import compose, euclidean_distances, relative, wrap
+from agents.slam.se2 import compose, euclidean_distances, relative, wrap_angle
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -117,13 +117,14 @@ class PoseTracker(ABC):
         before = heading if self._compass is None else self._compass
         driven = 0.0 if self._compass is None else distance - self._distance
         self._distance = distance
-        middle = before + 0.5 * wrap(heading - before)  # an arc's chord points midway between the headings at its ends
+        # An arc's chord points midway between the headings at its ends.
+        middle = before + 0.5 * wrap_angle(heading - before)
         self._compass = heading
         self.odometry += driven * np.array([math.cos(middle), math.sin(middle)])
         driven *= self.scale
         chord = middle + self._compass_bias
         self.pose[:2] += driven * np.array([math.cos(chord), math.sin(chord)])
-        self.pose[2] = wrap(heading + self._compass_bias)
+        self.pose[2] = wrap_angle(heading + self._compass_bias)
         self.path += abs(driven)
 
     @abstractmethod
@@ -206,12 +207,12 @@ class ScanMatchingTracker(PoseTracker):
         if not self._accepts(found):
             self._add_edge(last, keyframes.count, odometry, np.diag(self._step_std**-2))
             return
-        turn_error = wrap(self.compass - keyframes.compass[last] - found.relative[2])
+        turn_error = wrap_angle(self.compass - keyframes.compass[last] - found.relative[2])
         self.compass_variance += (turn_error**2 - self.compass_variance) / count
         self._learn_scale(odometry, found)
         # The compass doesn't drift, the scans' headings drift a little: a Kalman gain holds them together.
         gain = config.heading_std**2 / (config.heading_std**2 + self.compass_variance)
-        found.pose[2] = wrap(found.pose[2] + gain * wrap(self.compass - found.pose[2]))
+        found.pose[2] = wrap_angle(found.pose[2] + gain * wrap_angle(self.compass - found.pose[2]))
         self._move(found.pose)
         odometry = relative(keyframes.pose[last], found.pose)
         self._add_edge(last, keyframes.count, odometry, found.information + np.diag(self._step_std**-2))
@@ -242,7 +243,7 @@ class ScanMatchingTracker(PoseTracker):
         return agrees and correction < self.config.correction_max
 
     def _move(self, pose: np.ndarray) -> None:
-        self._compass_bias = wrap(self._compass_bias + self.config.bias_gain * wrap(pose[2] - self.pose[2]))
+        self._compass_bias = wrap_angle(self._compass_bias + self.config.bias_gain * wrap_angle(pose[2] - self.pose[2]))
         self.pose = pose.copy()
 
     def _add_edge(self, i: int, j: int, measured: np.ndarray, information: np.ndarray) -> None:
@@ -272,5 +273,5 @@ class ScanMatchingTracker(PoseTracker):
             self.pose_graph,
         )
         self.pose = compose(keyframes.pose[-1], relative(last, self.pose))
-        self._compass_bias = wrap(self._compass_bias + keyframes.pose[-1, 2] - last[2])
+        self._compass_bias = wrap_angle(self._compass_bias + keyframes.pose[-1, 2] - last[2])
         self._accumulated_correction = np.zeros(2)

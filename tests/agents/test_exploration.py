@@ -25,7 +25,7 @@ from agents.exploration.visibility import (
 )
 from agents.settings import pack
 from agents.slam.keyframes import Keyframes
-from agents.slam.se2 import euclidean_distances, wrap_all
+from agents.slam.se2 import euclidean_distances, wrap_angle
 from tests.agents.buildings import BEAMS, CROSSING, REACH, ROOM, SPACING, keyframes_at, plan_of, seen
 
 VALUES = pack(VisibilityValues, VisibilityConfig())
@@ -38,7 +38,7 @@ def test_clear_lengths_are_those_of_a_rectangle_pushed_ahead() -> None:
     clear_lengths(ranges, 0.3, clear)
     angles = np.arange(BEAMS) * SPACING
     for beam in range(BEAMS):
-        off = wrap_all(angles - angles[beam])
+        off = wrap_angle(angles - angles[beam])
         in_way = (np.abs(off) < math.pi / 2) & (ranges * np.abs(np.sin(off)) < 0.3 - 1e-9)
         expected = min(ranges[beam], (ranges * np.cos(off))[in_way].min())
         # An end on the border of the rectangle may count as in its way or not.

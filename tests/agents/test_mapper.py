@@ -15,7 +15,7 @@ from agents.slam.pose_graph import optimize
 from agents.slam.registration import PanoramaMatcher
 from agents.slam.robust_graph import optimize_robustly
 from agents.slam.scan_matching import Reference
-from agents.slam.se2 import compose, relative, wrap_all
+from agents.slam.se2 import compose, relative, wrap_angle
 from agents.watcher import WatcherPolicy
 from cyclic_env.config import LaserConfig
 from cyclic_env.floor_plans import load_floor_plan
@@ -154,7 +154,7 @@ def lap() -> Lap:
     mapper, claims = Mapper(HALF), []
     for step, pose in enumerate(poses):
         ranges = scan(plan.walls, pose, HALF) + 0.02 * rng.standard_normal(180)
-        match = mapper.observe(ranges, 1.01 * driven[step], float(wrap_all(headings[step])))
+        match = mapper.observe(ranges, 1.01 * driven[step], float(wrap_angle(headings[step])))
         if match is not None:
             claims.append((step, match))
     return poses, mapper, claims

@@ -14,7 +14,7 @@ from scipy.sparse.csgraph import dijkstra
 from agents.slam.keyframes import CAPACITY, Keyframes
 from agents.slam.pose_graph import optimize
 from agents.slam.scan_filters import confirm, despeckle, fill, reliable_endpoints
-from agents.slam.se2 import compose, relative, wrap, wrap_all
+from agents.slam.se2 import compose, relative, wrap_angle
 from agents.slam.tracker import DeadReckoningTracker, ScanMatchingTracker
 from cyclic_env.floor_plans import load_floor_plan
 from tests.agents.buildings import BEAMS, CROSSING, MATCHER, REACH, ROOM, keyframes_at, plan_of, seen
@@ -24,14 +24,14 @@ def test_relative_and_compose_undo_each_other() -> None:
     rng = np.random.default_rng(0)
     a, b = rng.uniform(-4, 4, (2, 50, 3))
     np.testing.assert_allclose(relative(a, compose(a, b))[:, :2], b[:, :2], atol=1e-12)
-    np.testing.assert_allclose(wrap_all(relative(a, compose(a, b))[:, 2] - b[:, 2]), 0, atol=1e-12)
+    np.testing.assert_allclose(wrap_angle(relative(a, compose(a, b))[:, 2] - b[:, 2]), 0, atol=1e-12)
 
 
 @pytest.mark.parametrize(
     ("angle", "wrapped"), [(0.0, 0.0), (math.pi, -math.pi), (-7.0, math.tau - 7.0), (7.0, 7.0 - math.tau)]
 )
 def test_wrap_stays_within_half_a_turn(angle: float, wrapped: float) -> None:
-    assert wrap(angle) == pytest.approx(wrapped)
+    assert wrap_angle(angle) == pytest.approx(wrapped)
 
 
 def test_despeckle_is_the_median_of_five_medians_of_three() -> None:
@@ -77,7 +77,7 @@ def test_matching_finds_the_pose_from_which_a_scan_was_taken(name: str) -> None:
         assert found.inlier_ratio > 0.9
         if found.min_eigenvalue > 10:
             np.testing.assert_allclose(found.pose[:2], true[:2], atol=0.1)
-        assert abs(wrap(found.pose[2] - true[2])) < 0.02
+        assert abs(wrap_angle(found.pose[2] - true[2])) < 0.02
 
 
 def test_along_a_plain_corridor_a_match_keeps_to_what_was_expected_and_says_so() -> None:
@@ -161,15 +161,15 @@ def test_a_pose_graph_is_solved_as_least_squares_are() -> None:
     def errors(free: np.ndarray) -> np.ndarray:
         poses = np.vstack([true[0], free.reshape(4, 3)])
         off = relative(poses[edges[:, 0]], poses[edges[:, 1]]) - measured
-        off[:, 2] = wrap_all(off[:, 2])
+        off[:, 2] = wrap_angle(off[:, 2])
         of_edges = off * np.sqrt(np.diagonal(information, axis1=1, axis2=2))
-        return np.concatenate([of_edges.ravel(), np.sqrt(weights) * wrap_all(poses[:, 2] - compass)])
+        return np.concatenate([of_edges.ravel(), np.sqrt(weights) * wrap_angle(poses[:, 2] - compass)])
 
     start = true + rng.normal(0, 0.1, true.shape) * (np.arange(5) > 0)[:, None]
     expected = least_squares(errors, start[1:].ravel(), xtol=1e-12, ftol=1e-12).x.reshape(4, 3)
     found = optimize(start, edges, measured, information, compass, weights)
     np.testing.assert_allclose(found[1:, :2], expected[:, :2], atol=2e-3)
-    np.testing.assert_allclose(wrap_all(found[1:, 2] - expected[:, 2]), 0, atol=2e-3)
+    np.testing.assert_allclose(wrap_angle(found[1:, 2] - expected[:, 2]), 0, atol=2e-3)
 
 
 def follow(track: ScanMatchingTracker, keyframes: Keyframes, driven: float, heading: float, ranges: np.ndarray) -> None:

@@ -241,7 +241,7 @@ class CyclicLoopHeadingsEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | 0 | how far the way is clear, as a share of the laser's reach |
     | 1 | exp(-d / 20 m), where d is the way that leads off in this heading to the nearest undriven cell, which is in
       sight of no place within 2.5 m where the robot has been; 0.5 more for the nearest of all headings |
-    | 2 | likewise of the nearest undriven cell at the edge of what was seen |
+    | 2 | the same for the nearest undriven cell at the edge of what was seen |
     | 3, 4 | how much of both lies that way: log(1 + sum of exp(-d / 40 m)) / 5 and / 3 |
     | 5 | how lately it was driven, 2 m from here: exp(-decisions since / 60) |
 

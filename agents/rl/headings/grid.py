@@ -36,7 +36,7 @@ class Grid(NamedTuple):
     free: np.ndarray
     """How many beams have crossed a cell, `(N, SIDE, SIDE)` uint8."""
     hit: np.ndarray
-    """How many have ended there, likewise."""
+    """How many beams have ended in it, `(N, SIDE, SIDE)` uint8."""
     driven: np.ndarray
     """The last decision at which the robot was there, `(N, SIDE, SIDE)` int16; -1 where it wasn't."""
 

@@ -20,9 +20,9 @@ from agents.slam.scan_matching import (
     Reference,
     align,
     compare_endpoints,
-    fit_wall_lines,
 )
 from agents.slam.tracker import TrackerConfig
+from agents.slam.wall_lines import fit_wall_lines
 from cyclic_env.jit import compiled
 
 MATCHER = pack(MatcherValues, MatcherConfig())
