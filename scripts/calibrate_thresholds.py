@@ -28,8 +28,8 @@ from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.config import ClosureConfig, RewardConfig
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans.generator.spec import SPLITS
-from cyclic_env.task.judgement import true_returns
 from cyclic_env.task.loop_closure import ELSEWHERE, RETURNS
+from cyclic_env.task.trajectory_truth import true_returns
 from scripts._cli import command, progress_bar
 
 PROCESSES_MAX = 64

@@ -31,11 +31,11 @@ from cyclic_env.floor_plans import (
     write_floor_plan,
     write_occupancy_grid,
 )
-from cyclic_env.floor_plans.occupancy.dropped import dropped_remark
+from cyclic_env.floor_plans.occupancy.dropped_places import dropped_remark
 from cyclic_env.floor_plans.occupancy.grid import UNKNOWN
 from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES
 from cyclic_env.floor_plans.occupancy.tracing import STAGES
-from cyclic_env.floor_plans.yaml_io import name_of, read_yaml
+from cyclic_env.floor_plans.strict_yaml import name_of, read_yaml
 from cyclic_env.rendering.colors import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
 from cyclic_env.validation import short_repr
 from scripts._arguments import OptionalFile, OptionalFloat, OptionalFolder

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.settings import pack
+from agents.component_config import pack
 from agents.slam.scan_matching import (
     Estimate,
     MatcherConfig,
