@@ -30,12 +30,12 @@ from cyclic_env.task.loop_closure import (
 )
 from cyclic_env.task.path_history import building_view, robot_view
 from cyclic_env.task.rewards import REWARD_TERMS, reward_weights
-from cyclic_env.task.trajectory_truth import memory_for
+from cyclic_env.task.trajectory_truth import memory_for, wall_tolerance_for
 from cyclic_env.trajectory.poses import compose
 from cyclic_env.validation import from_mapping
 
 SIGHT_GIVEN = 1.0
-"""Metres within which two positions are in sight by default: a reference doesn't fit a floor plan exactly."""
+"""Metres within which two positions are in sight by default."""
 
 
 class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
@@ -60,7 +60,8 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     plan : FloorPlan, optional
         The building. Default: the shipped one that the log names.
     closure : ClosureConfig or mapping, optional
-        Default: the environment's, but positions nearer than 1 m to each other are in sight.
+        Default: the environment's, but positions nearer than 1 m to each other are in sight, and the walls are
+        tolerant enough for all poses of the reference (`cyclic_env.task.trajectory_truth.wall_tolerance_for`).
     action_type : {"wheels", "twist", "discrete"}
 
     Attributes
@@ -77,6 +78,8 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     ------
     RecordingError
         If the log can't be read, has no reference poses, or has a plan but no `map_transform`.
+    UsageError
+        If its reference doesn't lie on the plan.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own)
@@ -95,6 +98,11 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             raise RecordingError(f"the log {log.name!r} has no reference poses; they are needed to judge claims.")
         if self.floor_plan is not None and log.map_transform is None:
             raise RecordingError(f"the log {log.name!r} has no map_transform, which places it on the floor plan.")
+        transform = (0.0, 0.0, 0.0) if self.floor_plan is None else log.map_transform
+        self._poses = compose(transform, log.reference)
+        if closure is None:
+            tolerance = 0.0 if self.floor_plan is None else wall_tolerance_for(self.floor_plan, self._poses)
+            closure = ClosureConfig(sight_given=SIGHT_GIVEN, wall_tolerance=tolerance)
         self.step_budget = len(log) - 1
         self.config = EnvConfig(
             map_name=log.map_name or log.name,
@@ -102,7 +110,7 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             step_budget=self.step_budget,
             robot=_robot_of(log),
             laser=log.laser,
-            closure=ClosureConfig(sight_given=SIGHT_GIVEN) if closure is None else from_mapping(ClosureConfig, closure),
+            closure=from_mapping(ClosureConfig, closure),
         )
         self.action_space = action_space(action_type)
         self.observation_space = observation_space(log.laser)
@@ -111,8 +119,6 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             "distance": log.distance[:, None].astype(np.float32),
             "compass": np.stack([np.cos(log.odometry[:, 2]), np.sin(log.odometry[:, 2])], axis=1).astype(np.float32),
         }
-        transform = (0.0, 0.0, 0.0) if self.floor_plan is None else log.map_transform
-        self._poses = compose(transform, log.reference)
         steps = np.diff(self._poses[:, :2], axis=0)
         self._path_lengths = np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
         track = np.column_stack([self._poses[:, :2], self._path_lengths])
