@@ -1,4 +1,4 @@
-"""Agents that need no training, by name: the baselines, which know nothing, and the explorer."""
+"""Agents that need no training, by name: the baselines, which know nothing, the explorer, and the watcher."""
 
 from __future__ import annotations
 
@@ -22,8 +22,12 @@ from agents.scripted import (
     ToAndFroAgent,
     WallFollowingAgent,
 )
+from agents.watcher import WatcherPolicy
 from cyclic_env.config import ActionType, EnvConfig
 from cyclic_env.validation import check_choice
+
+WATCHER = "watcher"
+"""Name of the agent that only watches, for robots that something else drives."""
 
 CLAIMS = "+claims"
 """Ending of the names of agents that claim in every step to be back at the start."""
@@ -58,7 +62,7 @@ def baseline_names() -> tuple[str, ...]:
 
 def agent_names() -> tuple[str, ...]:
     """Return the names that `make_agent` knows."""
-    return (*_EXPLORERS, *_BASELINES)
+    return (*_EXPLORERS, WATCHER, *_BASELINES)
 
 
 def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = None, seed: int = 0) -> BatchPolicy:
@@ -85,4 +89,6 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
     actions = action_type or settings.action_type
     if name in _BASELINES:
         return _BASELINES[name](action_type=actions, seed=seed)
+    if name == WATCHER:
+        return WatcherPolicy(settings.laser, action_type=actions)
     return KnnPolicy(_EXPLORERS[name].fitted(settings.laser, settings.robot), action_type=actions)

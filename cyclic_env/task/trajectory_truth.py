@@ -38,6 +38,9 @@ from cyclic_env.task.path_history import (
     robot_view,
 )
 
+SIGHT_GIVEN = 1.0
+"""Metres within which the positions of a trajectory that doesn't fit its plan are in sight of each other."""
+
 WALL_TOLERANCE_MAX = 1.5
 """Metres. A position that lies farther outside the free space is off the plan, however badly a trajectory fits."""
 
@@ -153,25 +156,30 @@ def true_returns(
     return relations
 
 
-def wall_tolerance_for(plan: FloorPlan, positions: np.ndarray) -> float:
-    """Return the `wall_tolerance` with which all positions of a trajectory can be judged on a floor plan.
+def closure_config_for(plan: FloorPlan | None, positions: np.ndarray) -> ClosureConfig:
+    """Return the settings with which a trajectory is judged that need not fit the floor plan exactly.
 
-    It is the greatest distance of a position `(n, 2)` from the free space, rounded up to a decimetre, without the
-    positions beyond `WALL_TOLERANCE_MAX`. A trajectory that stays in free space has 0.
+    One that stays in free space, or has no plan, is judged as in the simulator. Otherwise positions nearer than
+    `SIGHT_GIVEN` to each other are in sight, and the walls let sight through as deep as the trajectory runs into them:
+    up to the greatest distance of a position `(n, 2)` from the free space, rounded up to a decimetre, without the
+    positions beyond `WALL_TOLERANCE_MAX`.
 
     Raises
     ------
     UsageError
         If more than half of the positions are beyond.
     """
-    outside_m = shapely.distance(plan.free_space, shapely.points(positions[:, :2]))
+    if plan is None:
+        return ClosureConfig()
+    outside_m = np.asarray(shapely.distance(plan.free_space, shapely.points(positions[:, :2])))
     near = outside_m <= WALL_TOLERANCE_MAX
     if 2 * np.count_nonzero(near) < len(near):
         raise UsageError(
             f"{np.count_nonzero(~near):,} of {len(near):,} positions lie more than {WALL_TOLERANCE_MAX} m outside "
             f"the floor plan {plan.name!r}; they have to be in its frame."
         )
-    return math.ceil(10 * outside_m[near].max()) / 10
+    tolerance = math.ceil(10 * outside_m[near].max()) / 10
+    return ClosureConfig(sight_given=SIGHT_GIVEN, wall_tolerance=tolerance) if tolerance else ClosureConfig()
 
 
 def _checked_trajectory(trajectory: Any) -> np.ndarray:
