@@ -10,12 +10,12 @@ from typing import Any
 
 from agents.registry import agent_names, make_agent
 from agents.rl import require_learning
-from cyclic_env import CyclicLoopVectorEnv
+from cyclic_env import CyclicLoopVectorEnv, RobotConfig
 from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation.rollout import Policy, checked_seeds, evaluate
 from cyclic_env.evaluation.statistics import Evaluation
 from cyclic_env.floor_plans import load_floor_plans
-from cyclic_env.validation import unknown_name
+from cyclic_env.validation import from_mapping, unknown_name
 
 DEFAULT_MAP = "killian_court"
 
@@ -107,12 +107,12 @@ def compare(
         Before anything is run, if any of the arguments doesn't fit.
     """
     seeds, settings = checked_seeds(seeds), dict(settings or {})
-    pools = [load_floor_plans(map_name) for map_name in maps]
     contestants = [load_contestant(name, action_type, **settings, map_name=DEFAULT_MAP) for name in names]
     trained_on = {entry.map_name for entry in contestants if entry.map_name}
-    if len(trained_on) > 1 and not pools:
+    if len(trained_on) > 1 and not maps:
         raise ConfigError("the models were trained on different maps; say with --map on which to compare them.")
-    for pool in pools or [load_floor_plans(name) for name in next(iter(trained_on), (DEFAULT_MAP,))]:
+    robot = from_mapping(RobotConfig, settings.get("robot"))
+    for pool in [load_floor_plans(name, robot.radius) for name in maps or next(iter(trained_on), (DEFAULT_MAP,))]:
         for entry in contestants:
             settings["action_type"] = entry.action_type
             yield evaluate(entry.policy, agent=entry.name, seeds=seeds, map_name=pool, **settings, **options)

@@ -85,7 +85,7 @@ class TrainingSettings:
             object.__setattr__(self, name, getattr(checked, name))
         for names in (self.map_name, self.validation_map):
             if names:
-                load_floor_plans(names)
+                load_floor_plans(names, self.robot.radius)
         if self.num_envs is None:
             object.__setattr__(self, "num_envs", self.hyperparameters["num_envs"])
         for name in ("num_envs", "validation_envs"):
