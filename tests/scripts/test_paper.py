@@ -27,7 +27,7 @@ from tests.helpers import load_script
 reproduce = load_script("reproduce_paper")
 
 TINY = Scope(
-    starts=2, maps=("ring", "figure_eight"), building="ring", variations=1, noise_scales=(0.0, 1.0), laps=2, repeats=3
+    starts=1, maps=("ring", "figure_eight"), building="ring", variations=1, noise_scales=(0.5,), laps=2, repeats=3
 )
 
 
