@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -33,7 +34,7 @@ RING = FloorPlan("ring", shapely.box(0, 0, 15, 15).difference(shapely.box(2, 2, 
 def explore(plan: FloorPlan, preset_name: str = "extended", **changes: Any) -> tuple[dict[str, Any], KnnExplorer, int]:
     """Run an episode to its end; return the last info, the explorer, and at which step nothing was left open first."""
     env, policy, done = CyclicLoopEnv(plan), KnnPolicy(preset(preset_name, **changes)), 0
-    observation, _ = env.reset(seed=0)
+    observation, info = env.reset(seed=0)
     state = None
     for step in range(env.step_budget):
         action, state = policy.predict(observation, state)
@@ -58,7 +59,7 @@ def test_what_was_missed_is_found_after_the_list_is_empty(plan: FloorPlan) -> No
 
 
 def test_the_papers_explorer_stops_when_its_list_is_empty() -> None:
-    info, explorer, done = explore(NARROW, "paper")
+    info, explorer, _ = explore(NARROW, "paper")
     assert explorer.done
     assert info["path_length_m"] < 2.0
     assert explorer.survey is None
@@ -85,15 +86,15 @@ def test_a_point_that_was_given_up_is_listed_again() -> None:
     np.testing.assert_allclose(frontiers.points(keyframes), before)
 
 
-def around(turns: int) -> list[tuple[float, float, float]]:
-    """Return poses every metre along the corridors of `RING`, so many times round."""
+def around() -> list[tuple[float, float, float]]:
+    """Return poses every metre along the corridors of `RING`."""
     corners = np.array([(1, 1), (14, 1), (14, 14), (1, 14), (1, 1)], float)
-    sides = [np.linspace(start, end, 13, endpoint=False) for start, end in zip(corners, corners[1:], strict=False)]
-    return [(float(x), float(y), 0.0) for _ in range(turns) for side in sides for x, y in side]
+    sides = [np.linspace(start, end, 13, endpoint=False) for start, end in pairwise(corners)]
+    return [(float(x), float(y), 0.0) for side in sides for x, y in side]
 
 
 def test_a_lap_is_open_until_a_claim_has_closed_it() -> None:
-    poses = around(1)
+    poses = around()
     keyframes = keyframes_at(RING, [*poses, poses[0]])
     building = BuildingMap(keyframes, REACH, CostmapConfig())
     ((inside, lap),) = building.open_laps(keyframes, [], keyframes.pose[0])
@@ -113,7 +114,7 @@ def test_a_pillar_has_no_lap_that_counts() -> None:
 
 
 def test_the_survey_leads_all_the_way_round_a_lap() -> None:
-    keyframes = keyframes_at(RING, around(1))
+    keyframes = keyframes_at(RING, around())
     survey = Survey(BEAMS, REACH, SurveyConfig(), BuildingMapConfig(), CostmapConfig())
     pose, visited = keyframes.pose[-1].copy(), []
     assert survey.update(keyframes, [], pose)  # the first round begins
