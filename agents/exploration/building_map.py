@@ -21,7 +21,7 @@ AROUND = np.ones((3, 3), np.bool_)
 class BuildingMapConfig(ComponentConfig):
     """The map of the whole building; lengths in metres."""
 
-    extent_max: float = 400.0
+    extent_max: float = 250.0
     """Side of the map, at most: a track that is out of order may lead anywhere."""
     margin: float = 2.0
     """By which the map is larger than the keyframes' surroundings."""
