@@ -1,4 +1,4 @@
-"""Agents that need no training, by name: the baselines, which know nothing, the explorer, and the watcher."""
+"""Agents that need no training, by name: the baselines, which follow fixed rules, the explorer, and the watcher."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WATCHER = "watcher"
 """Name of the agent that only watches, for robots that something else drives."""
 
 CLAIMS = "+claims"
-"""Ending of the names of agents that claim in every step to be back at the start."""
+"""Suffix of the names of agents that claim in every step to be back at the start."""
 
 _DRIVES: dict[str, Callable[..., ScriptedAgent]] = {
     "circling": partial(WallFollowingAgent, side=LEFT, wall_distance=CLEAR_OF_WALL),
@@ -56,7 +56,7 @@ _EXPLORERS = {
 
 
 def baseline_names() -> tuple[str, ...]:
-    """Return the names of the agents that know nothing."""
+    """Return the names of the agents that follow fixed rules."""
     return tuple(_BASELINES)
 
 
@@ -73,16 +73,16 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
     name : str
         One of `agent_names`.
     env : CyclicLoopEnv or CyclicLoopVectorEnv, optional
-        What it is for, perhaps wrapped: the agent takes its laser, robot and action type from there.
+        The environment to drive in, perhaps wrapped; the agent takes its laser, robot and action type from there.
     action_type : {"wheels", "twist", "discrete"}, optional
-        By default the environment's; without one, ``"wheels"``.
+        By default the environment's, or ``"wheels"`` without one.
     seed : int
-        For agents that draw.
+        Seed of agents that draw random numbers.
 
     Raises
     ------
     ConfigError
-        If there is no such agent; the message lists them and the nearest.
+        If there is no such agent; the message lists all names and suggests the nearest.
     """
     check_choice("agent", name, agent_names())
     settings = EnvConfig() if env is None else env.unwrapped.config
