@@ -10,8 +10,10 @@ if __name__ == "__main__":
 import json
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
+from tyro.conf import arg
 
 from agents.slam.closure_price import ClosurePrice, price_run
 from cyclic_env import ConfigError, RobotLog, load_floor_plan, read_robot_log
@@ -24,12 +26,10 @@ from scripts._arguments import Flag, OptionalFile, OptionalText
 from scripts._cli import command, progress_bar
 from scripts._judgement import report_text
 
-EXAMPLES = """\
-judge.py --reference truth.tum --claims claims.csv                          no map: no sight, no cycles
-judge.py --trajectory slam.tum --reference truth.tum --claims claims.csv --map map.yaml
-judge.py --trajectory graph.g2o --claims graph.g2o --reference truth.g2o    vertices are matched by their numbers
-judge.py --log killian_run --claims out/recorded/claims.csv --price         reference, map, scans and odometry of a log
-"""
+EXAMPLES = """examples:
+  python scripts/judge.py --trajectory slam.tum --reference truth.tum --claims claims.csv --map map.yaml
+  python scripts/judge.py --trajectory graph.g2o --claims graph.g2o --reference truth.g2o
+  python scripts/judge.py --log killian_run --claims out/recorded/claims.csv --price"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +45,7 @@ class Options:
     """the truth: TUM or g2o (default: the log's)"""
     map: OptionalText = None
     """a plan's name, or the YAML file of a plan or of a map of ROS (default: the log's, else none)"""
-    map_pose: tuple[float, float, float] | None = None
+    map_pose: Annotated[tuple[float, float, float] | None, arg(metavar="X Y HEADING", help_behavior_hint="")] = None
     """pose of the reference's frame in the map's: x, y (m) and heading (radians; default: the log's, else 0 0 0)"""
     log: OptionalText = None
     """a robot's log, whose scans are compared for their overlap"""

@@ -113,7 +113,7 @@ def read_relations(path: str | Path) -> Relations:
 
 def _read(path: str | Path, parse: Callable[[list[str]], T]) -> T:
     try:
-        return parse(Path(path).read_text(encoding="utf-8").splitlines())
+        return parse(Path(path).read_text(encoding="utf-8-sig").splitlines())
     except RecordingError as error:
         raise RecordingError(f"{path}: {error}") from error
     except UnicodeDecodeError as error:
@@ -170,7 +170,7 @@ def _sorted_trajectory(times: np.ndarray, poses: np.ndarray) -> Trajectory:
     earlier = np.flatnonzero(np.diff(times) <= 0)
     if len(earlier):
         i = int(earlier[0])
-        raise RecordingError(f"is not sorted by time: {times[i + 1]:.9g} comes after {times[i]:.9g}.")
+        raise RecordingError(f"is not sorted by time: {times[i + 1]:.6f} comes after {times[i]:.6f}.")
     return Trajectory(times=times, poses=poses)
 
 
@@ -220,6 +220,8 @@ def _parse_claims(lines: list[str]) -> Claims:
         raise RecordingError(
             f"its header is {','.join(names)[:60]!r}; expected the columns time,match_time or step,match."
         )
+    if len(set(names)) < len(names):
+        raise RecordingError(f"its header {','.join(names)[:60]!r} names a column twice.")
     wanted = [*CLAIM_COLUMNS[kind], *(["score"] if "score" in names else [])]
     measured = set(MEASURED) <= set(names)
     wanted += MEASURED if measured else ()

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from agents.knn.config import preset
-from agents.knn.directions import sector_features
 from agents.knn.observer import LoopObserver
 from agents.knn.similarity import measure_by_name
 from agents.slam.mapper import MapperConfig
-from agents.slam.panorama import panorama_beams, signature_distances, spread_beams
+from agents.slam.panorama import signature_distances
 from agents.watcher import LoopWatcher
 from cyclic_env import ClosureConfig, RobotConfig, RobotLog
 from cyclic_env.trajectory.poses import compose, relative
@@ -22,6 +21,8 @@ from cyclic_env.trajectory.poses import compose, relative
 CLIPPED = 10.0
 """Metres beyond which ranges look alike to the comparison of raw scans."""
 SECTORS = 7
+MAP_RANGE = 15.0
+"""Metres up to which endpoints are part of the map that is drawn."""
 RADIUS = 2.5
 """Metres within which the detector by position claims: half a metre less than counts."""
 
@@ -89,11 +90,15 @@ def _by_mapper(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> De
     run = watcher.mapper.run
     last = np.searchsorted(run.step, np.arange(len(log)), side="right") - 1
     moved = relative(log.odometry[run.step[last]], log.odometry)
+    track = compose(run.pose[last], moved)
     return Detection(
         claims=_pairs(watcher.claims),
-        track=compose(run.pose[last], moved),
-        points=_endpoints(run.scan, run.pose, watcher.mapper.range_max),
-        edges=[(*loop[:2], *loop[2:4]) for loop in run.loops],
+        track=track,
+        points=_endpoints(log, track),
+        edges=[
+            (int(run.step[loop.earlier]), int(run.step[loop.later]), loop.measured, loop.information)
+            for loop in run.loops
+        ],
         seconds=seconds,
     )
 
@@ -127,13 +132,11 @@ def _by_scans(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> Det
 
 
 def _by_sectors(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> Detection:
-    """By the paper's features: the least ranges of seven sectors, and the cosine between them."""
-    config, (beams, count) = preset("paper"), panorama_beams(log.laser)
-    reach = log.laser.range_max
-    looks = (spread_beams(scan, beams, count) for scan in log.observations()["laser"])
-    features = [sector_features(np.where(look > 0, look, reach), SECTORS, config.rounding)[0] for look in looks]
+    """By features like the paper's: the least ranges of seven sectors, rounded, and the cosine between them."""
+    sectors = np.array_split(log.observations()["laser"].astype(np.float64), SECTORS, axis=1)
+    features = np.column_stack([np.rint(ranges.min(axis=1) / preset("paper").rounding) for ranges in sectors])
     cosine = measure_by_name("cosine")
-    rows = cosine.prepare(np.array(features))
+    rows = cosine.prepare(features)
     return _most_alike(log, lambda i, earlier: 1 - cosine.compare(rows[earlier], rows[i]), progress)
 
 
@@ -198,9 +201,9 @@ def _path(log: RobotLog) -> np.ndarray:
     return np.append(0.0, np.cumsum(np.hypot(step[:, 0], step[:, 1])))
 
 
-def _endpoints(scans: np.ndarray, poses: np.ndarray, range_max: float) -> np.ndarray:
-    """Return the endpoints `(k, 2)` of scans that see all around `(n, beams)`, 0 where not looked at."""
-    rows, beams = np.nonzero((scans > 0) & (scans < range_max - 0.1))
-    angles = poses[rows, 2] + beams * (2 * np.pi / scans.shape[1])
-    ranges = scans[rows, beams]
-    return poses[rows, :2] + ranges[:, None] * np.column_stack([np.cos(angles), np.sin(angles)])
+def _endpoints(log: RobotLog, track: np.ndarray) -> np.ndarray:
+    """Return the endpoints `(k, 2)` of the scans, taken at poses `(n, 3)` of the robot."""
+    rows, beams = np.nonzero(log.ranges < min(MAP_RANGE, log.laser.range_max))
+    lasers = compose(track, np.array([*log.laser_position, 0.0]))[rows]
+    angles = lasers[:, 2] + log.laser.bearings[beams]
+    return lasers[:, :2] + log.ranges[rows, beams][:, None] * np.column_stack([np.cos(angles), np.sin(angles)])

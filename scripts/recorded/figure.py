@@ -13,6 +13,10 @@ from cyclic_env.rendering.colors import AMBER, INK
 from cyclic_env.rendering.figures import add_legend, draw_claims, draw_path, plan_figure, rgb
 
 DPI = 150
+MARGIN = 3.0
+"""Metres around all that is drawn."""
+ODOMETRY_SHARE = 0.35
+"""How far the odometry may widen the page, as a share of the track's longer side."""
 POINTS_MAX = 60_000
 """Endpoints that are drawn, at most."""
 
@@ -42,8 +46,10 @@ def draw_recorded_run(
     claims : (m,) CLAIM, or None
         The judged ones, by the scans.
     """
-    shown = np.concatenate([track, odometry])
-    west, south, east, north = (*shown.min(axis=0) - 3, *shown.max(axis=0) + 3)
+    low, high = track.min(axis=0), track.max(axis=0)
+    beyond = MARGIN + ODOMETRY_SHARE * (high - low).max()
+    west, south = np.minimum(low, np.maximum(odometry.min(axis=0), low - beyond)) - MARGIN
+    east, north = np.maximum(high, np.minimum(odometry.max(axis=0), high + beyond)) + MARGIN
     ground = plan
     if ground is None:  # an empty page of that size
         page = polygon_from_rings([(west, south), (east, south), (east, north), (west, north)])

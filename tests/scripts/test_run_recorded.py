@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cyclic_env import RobotLog, read_robot_log
+from agents.registry import make_agent
+from cyclic_env import RecordedRun, RobotLog, read_robot_log
 from cyclic_env.recording.robot_log import write_robot_log
+from cyclic_env.trajectory.poses import relative
 from cyclic_env.trajectory.readers import read_claims, read_trajectory
 from tests.helpers import load_script
 from tests.scripts.conftest import Refused
@@ -41,7 +43,12 @@ def test_a_slice_closes_its_loop_and_can_be_judged_again(
     assert (out / "run.png").stat().st_size > 10_000
     assert len(read_trajectory(out / "track.tum").times) == 306
     assert len(read_trajectory(out / "pose_graph.g2o").times) == 306
-    assert len(read_claims(out / "pose_graph.g2o").times) > 3
+    loops, poses = read_claims(out / "pose_graph.g2o"), read_trajectory(out / "track.tum").poses
+    ends = np.column_stack([loops.matches, loops.times]).astype(int)
+    assert len(ends) > 3
+    assert loops.measured is not None
+    moved = relative(poses[ends[:, 0]], poses[ends[:, 1]])
+    assert np.median(np.hypot(*(moved - loops.measured)[:, :2].T)) < 0.1
     capsys.readouterr()
     again = tmp_path / "again.json"
     files = ["--reference", str(out / "reference.tum"), "--claims", str(out / "claims.csv"), "--json", str(again)]
@@ -103,3 +110,11 @@ def test_the_whole_run_closes_every_loop_without_a_false_claim(tmp_path: Path) -
     for gate in scores["gates"]:
         assert (gate["false_claims"], gate["cycles_closed"]) == (0, 6)
         assert abs(gate["row_recall"] - scores["row_recall"]) <= 0.03
+    run = RecordedRun()
+    policy, state, ended = make_agent("watcher", run), None, False
+    observation, info = run.reset()
+    while not ended:
+        action, state = policy.predict(observation, state)
+        observation, _, _, ended, info = run.step(action)
+    for name in ("claims", "false_claims", "revisits", "revisits_recognised", "cycles_closed"):
+        assert scores[name] == info[name]
