@@ -1,4 +1,4 @@
-"""Agents that need no training, by name: the baselines, which know nothing, and the explorer."""
+"""Agents that need no training, by name: baselines that know nothing, the explorer, its rivals, and privileged ones."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any
 from agents.base import BatchPolicy
 from agents.knn.config import preset
 from agents.knn.policy import KnnPolicy
+from agents.rivals.frontier import FrontierAgentConfig, FrontierPolicy
+from agents.rivals.privileged import OraclePolicy, PerfectDetectorPolicy
 from agents.scripted import (
     BEYOND_WALL,
     CLEAR_OF_WALL,
@@ -49,6 +51,17 @@ _EXPLORERS = {
     "knn_paper_appearance": preset("paper", detector="knn"),
     "knn_paper_position": preset("paper", detector="position"),
 }
+_RIVALS = {
+    "frontier": FrontierAgentConfig(),
+    "frontier_lite": FrontierAgentConfig(order="explore_lite"),
+    "frontier_loops": FrontierAgentConfig(closes_loops=True),
+}
+_PRIVILEGED = ("oracle", "perfect_detector")
+
+
+def privileged_names() -> tuple[str, ...]:
+    """Return the names of the agents that see the truth about their environment: bounds, never to be ranked."""
+    return _PRIVILEGED
 
 
 def baseline_names() -> tuple[str, ...]:
@@ -58,7 +71,7 @@ def baseline_names() -> tuple[str, ...]:
 
 def agent_names() -> tuple[str, ...]:
     """Return the names that `make_agent` knows."""
-    return (*_EXPLORERS, *_BASELINES)
+    return (*_EXPLORERS, *_RIVALS, *_PRIVILEGED, *_BASELINES)
 
 
 def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = None, seed: int = 0) -> BatchPolicy:
@@ -69,7 +82,8 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
     name : str
         One of `agent_names`.
     env : CyclicLoopEnv or CyclicLoopVectorEnv, optional
-        What it is for, perhaps wrapped: the agent takes its laser, robot and action type from there.
+        What it is for, perhaps wrapped: the agent takes its laser, robot and action type from there. A privileged
+        agent needs it, and drives only in it.
     action_type : {"wheels", "twist", "discrete"}, optional
         By default the environment's; without one, ``"wheels"``.
     seed : int
@@ -78,11 +92,17 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
     Raises
     ------
     ConfigError
-        If there is no such agent; the message lists them and the nearest.
+        If there is no such agent (the message lists them and the nearest), or a privileged one has no environment.
     """
     check_choice("agent", name, agent_names())
     settings = EnvConfig() if env is None else env.unwrapped.config
     actions = action_type or settings.action_type
     if name in _BASELINES:
         return _BASELINES[name](action_type=actions, seed=seed)
+    if name in _RIVALS:
+        return FrontierPolicy(_RIVALS[name], settings.laser, settings.robot, action_type=actions)
+    if name == "oracle":
+        return OraclePolicy(env, action_type=actions)
+    if name == "perfect_detector":
+        return PerfectDetectorPolicy(preset("extended").fitted(settings.laser, settings.robot), env, action_type=actions)
     return KnnPolicy(_EXPLORERS[name].fitted(settings.laser, settings.robot), action_type=actions)

@@ -60,6 +60,11 @@ class KnnExplorer(LoopObserver, Agent):
         return Decision(speed, turn, claim=True, match=match_of(step, self.steps))
 
     @property
+    def belief(self) -> np.ndarray:
+        """Where it believes to be, from where it started: its track."""
+        return self.tracker.pose
+
+    @property
     def stop_reason(self) -> str | None:
         """Why nothing is left to explore; None as long as there is something."""
         if not self.done:
