@@ -33,8 +33,8 @@ class ChoiceConfig(ComponentConfig):
     map_spacing: float = 0.3
     map_period: float = 1.0
     """Way and time after which a scan is added to the grid."""
-    look_again: float = 2.0
-    """Time after which the goal is thought over."""
+    look_again: float = 4.0
+    """Time after which the goal is thought over, if it is a frontier for so long."""
     arrival: float = 0.6
     """Distance from a goal at which the robot is there; a frontier that is still one there is given up."""
     banned_radius: float = 0.6
@@ -91,7 +91,7 @@ class FrontierExplorer(Agent):
         self.config, self.beams, self.dt = config, laser.num_beams, robot.dt
         self._sees_all_around = laser.sees_all_around
         self._panorama_beams, self._count = panorama_beams(laser)
-        self.grid = OccupancyGrid(laser.range_max, config.grid)
+        self.grid = OccupancyGrid(laser, config.grid)
         self.places = Places(config.returns)
         self.tracker = DeadReckoningTracker()
         self.steps = 0
@@ -111,12 +111,12 @@ class FrontierExplorer(Agent):
     def decide(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> Decision:
         """Draw the grid, choose a frontier, drive on, and claim where dead reckoning is back."""
         self.tracker.advance(distance, compass)
-        panorama = spread_beams(self._smooth(np.clip(scan, 0.0, self.grid.range_max)), self._panorama_beams, self._count)
-        self._draw(panorama)
+        scan = self._smooth(np.clip(scan, 0.0, self.grid.range_max))
+        self._draw(scan)
         new_place = self.places.visit(self.tracker.pose, self.tracker.path, self.steps, self.grid)
         if not self.done:
             self._review()
-        speed, turn = self._steer(panorama)
+        speed, turn = self._steer(spread_beams(scan, self._panorama_beams, self._count))
         self.steps += 1
         step = self.places.returned_step(self.grid) if new_place else None
         if step is None:
@@ -130,12 +130,12 @@ class FrontierExplorer(Agent):
             before[0], after[-1] = scan[0], scan[-1]
         return np.maximum(np.minimum(before, scan), np.minimum(np.maximum(before, scan), after))
 
-    def _draw(self, panorama: np.ndarray) -> None:
+    def _draw(self, scan: np.ndarray) -> None:
         choice, pose = self.config.choice, self.tracker.pose
         self._since_drawn += 1
         moved = math.hypot(*(pose[:2] - self._drawn_at))
         if not moved < choice.map_spacing or self._since_drawn * self.dt >= choice.map_period:
-            self.grid.add(panorama, pose)
+            self.grid.add(scan, pose)
             self._drawn_at, self._since_drawn = pose[:2].copy(), 0
 
     def _review(self) -> None:
@@ -144,7 +144,8 @@ class FrontierExplorer(Agent):
         self._since_choice += 1
         self._stuck += 1
         arrived = self.goal is not None and math.hypot(*(self.goal - pose[:2])) < choice.arrival
-        if not arrived and self._since_choice * self.dt < choice.look_again:
+        explored = self.goal is not None and not self.closing and not self.grid.is_frontier(self.goal)
+        if not (arrived or explored) and self._since_choice * self.dt < choice.look_again:
             return
         if self.goal is not None and (arrived or self._stuck * self.dt > choice.patience):
             if not self.closing or not arrived:

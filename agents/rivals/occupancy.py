@@ -5,7 +5,6 @@ D. Fox, Probabilistic Robotics, 9.2, with the numbers of OctoMap (A. Hornung et 
 is a connected set of free cells beside unknown ones (B. Yamauchi, "A frontier-based approach for autonomous exploration",
 CIRA 1997).
 
-A panorama is `(n,)` ranges in metres all around, counter-clockwise from straight ahead; 0 where the laser doesn't look.
 The kernels do not validate.
 """
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from agents.settings import ComponentConfig, kernel_tuple, pack
 from agents.slam.scan_filters import SHORT_OF_REACH
+from cyclic_env.config import LaserConfig
 from cyclic_env.jit import compiled
 
 
@@ -59,22 +59,28 @@ class Frontier(NamedTuple):
 
 
 @compiled
-def draw_panorama(log_odds, corner, panorama, range_max, pose, box, values):
-    """Add a panorama to the cells of a box `(4,)` of rows and columns: what is surely free, and where beams end."""
-    n, cell = panorama.shape[0], values.cell
-    spacing = 2 * math.pi / n
+def draw_scan(log_odds, corner, scan, laser, pose, box, values):
+    """Add a scan to the cells of a box `(4,)` of rows and columns: what is surely free, and where beams end.
+
+    `laser` is its reach, first bearing, beam spacing, and whether it sees all around.
+    """
+    n, cell = scan.shape[0], values.cell
+    range_max, first_bearing, spacing, all_around = laser
     for i in range(box[0], box[1]):
         for j in range(box[2], box[3]):
             dx, dy = corner[0] + (j + 0.5) * cell - pose[0], corner[1] + (i + 0.5) * cell - pose[1]
             distance = math.sqrt(dx * dx + dy * dy)
             if distance > range_max:
                 continue
-            low = math.floor((math.atan2(dy, dx) - pose[2]) / spacing)
-            if distance < min(panorama[low % n], panorama[(low + 1) % n]) - 0.5 * cell:
+            angle = math.atan2(dy, dx) - pose[2] - first_bearing
+            low = math.floor((angle - 2 * math.pi * math.floor(angle / (2 * math.pi))) / spacing)
+            if low + 1 >= n and not all_around:
+                continue
+            if distance < min(scan[low % n], scan[(low + 1) % n]) - 0.5 * cell:
                 log_odds[i, j] = max(log_odds[i, j] - values.miss, -values.bound)
     for k in range(n):
-        if 0.0 < panorama[k] < range_max - SHORT_OF_REACH:
-            reach, angle = panorama[k] + values.wall_depth, pose[2] + k * spacing
+        if scan[k] < range_max - SHORT_OF_REACH:
+            reach, angle = scan[k] + values.wall_depth, pose[2] + first_bearing + k * spacing
             i = math.floor((pose[1] + reach * math.sin(angle) - corner[1]) / cell)
             j = math.floor((pose[0] + reach * math.cos(angle) - corner[0]) / cell)
             log_odds[i, j] = min(log_odds[i, j] + values.hit, values.bound)
@@ -196,12 +202,13 @@ class OccupancyGrid:
 
     Parameters
     ----------
-    range_max : float
-        Reach of the laser, metres.
+    laser : LaserConfig
     config : OccupancyConfig, optional
 
     Attributes
     ----------
+    range_max : float
+        Reach of the laser, metres.
     log_odds : (rows, columns) float32
         Below 0 free, above 0 a wall, 0 unknown.
     corner : (2,) float64
@@ -210,8 +217,9 @@ class OccupancyGrid:
 
     MOST_FRONTIERS = 4_000
 
-    def __init__(self, range_max: float, config: OccupancyConfig | None = None) -> None:
-        self.range_max = range_max
+    def __init__(self, laser: LaserConfig, config: OccupancyConfig | None = None) -> None:
+        self.range_max = laser.range_max
+        self._laser = (laser.range_max, laser.first_bearing, laser.beam_spacing, laser.sees_all_around)
         self.config = config or OccupancyConfig()
         self._values: Any = pack(OccupancyValues, self.config)
         self.corner = np.zeros(2)
@@ -225,8 +233,8 @@ class OccupancyGrid:
         self._costs_to_go, self._before = np.full(shape, np.inf, np.float32), np.zeros(shape, np.int32)
         self._queue, self._waiting = np.zeros(shape[0] * shape[1], np.int32), np.zeros(shape, np.bool_)
 
-    def add(self, panorama: np.ndarray, pose: np.ndarray) -> None:
-        """Draw a panorama that was taken at a pose `(3,)`."""
+    def add(self, scan: np.ndarray, pose: np.ndarray) -> None:
+        """Draw a scan `(beams,)` that was taken at a pose `(3,)`."""
         cell, reach = self.config.cell, self.range_max + 2 * self.config.cell
         low = np.floor((pose[:2] - reach - self.corner) / cell).astype(int)
         high = np.ceil((pose[:2] + reach - self.corner) / cell).astype(int)
@@ -234,7 +242,7 @@ class OccupancyGrid:
         if (low < 1).any() or high[0] > columns - 1 or high[1] > rows - 1:
             low, high = self._grow(low, high)
         box = np.array([low[1], high[1], low[0], high[0]])
-        draw_panorama(self.log_odds, self.corner, panorama, self.range_max, pose, box, self._values)
+        draw_scan(self.log_odds, self.corner, scan, self._laser, pose, box, self._values)
         border = math.ceil(self.config.comfort / cell)
         rows, columns = self.log_odds.shape
         box += np.array([-border, border, -border, border])
@@ -272,6 +280,12 @@ class OccupancyGrid:
             for cells, cost, goal in self._found[:count]
             if cells >= least_cells
         ]
+
+    def is_frontier(self, point: np.ndarray) -> bool:
+        """Tell whether a point `(2,)` is still in a free cell beside an unknown one."""
+        i, j = self._cell(point)
+        around = self.log_odds[[i - 1, i + 1, i, i], [j, j, j - 1, j + 1]]
+        return bool(self.log_odds[i, j] < 0 and (around == 0).any())
 
     def ban(self, point: np.ndarray, radius: float) -> None:
         """Take no cell within a radius of a point `(2,)` for a frontier any more."""
