@@ -1,8 +1,9 @@
-"""Evaluate agents side by side: the explorer and scripted ones by name, trained ones by the file of their model."""
+"""Evaluate agents side by side: named ones (the explorer, scripted agents), and trained ones by the file of a model."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import importlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,12 +11,12 @@ from typing import Any
 
 from agents.registry import agent_names, make_agent
 from agents.rl import require_learning
-from cyclic_env import CyclicLoopVectorEnv
+from cyclic_env import CyclicLoopVectorEnv, RobotConfig
 from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation.rollout import Policy, checked_seeds, evaluate
 from cyclic_env.evaluation.statistics import Evaluation
 from cyclic_env.floor_plans import load_floor_plans
-from cyclic_env.validation import unknown_name
+from cyclic_env.validation import from_mapping, unknown_name
 
 DEFAULT_MAP = "killian_court"
 
@@ -28,24 +29,26 @@ class Contestant:
     policy: Policy
     action_type: str
     map_name: tuple[str, ...]
-    """What it was trained on; empty for an agent that was not."""
+    """The maps that it was trained on; empty for an agent without training."""
 
 
 def load_contestant(name: str, action_type: str | None = None, **settings: Any) -> Contestant:
-    """Return the agent of that name, or the model in that file or folder.
+    """Return the agent with that name, the model in that file or folder, or one that a function of yours makes.
 
     Parameters
     ----------
     name : str
+        Of an agent, a file or folder; or ``module:function``, for a function that takes the environment and returns
+        the policy.
     action_type : str, optional
-        By default that which the model was trained with, or ``"wheels"``.
+        By default the one that the model was trained with, or ``"wheels"``.
     settings
-        Of the environment, as for `CyclicLoopEnv`: the agent is made for its laser and its robot.
+        Settings of the environment, as for `CyclicLoopEnv`; the agent is made for its laser and its robot.
 
     Raises
     ------
     ConfigError
-        If there is no such agent or file, the file is no model, or the model was trained with other actions or sensors.
+        If there is no such agent or file, the file is not a model, or the model has other actions or sensors.
     """
     if name in agent_names():
         settings["action_type"] = action_type or "wheels"
@@ -53,6 +56,11 @@ def load_contestant(name: str, action_type: str | None = None, **settings: Any) 
             policy = make_agent(name, env)
             return Contestant(name=name, policy=policy, action_type=env.config.action_type, map_name=())
     path = Path(name)
+    if ":" in name and not path.exists():
+        settings["action_type"] = action_type or "wheels"
+        with closing(CyclicLoopVectorEnv(1, **settings)) as env:
+            policy = import_maker(name)(env)
+            return Contestant(name=name, policy=policy, action_type=env.config.action_type, map_name=())
     if not path.exists():
         if path.suffix == ".zip" or len(path.parts) > 1:
             raise ConfigError(f"there is no model file {name}.")
@@ -77,6 +85,21 @@ def load_contestant(name: str, action_type: str | None = None, **settings: Any) 
     return Contestant(name=name, policy=policy, action_type=settings["action_type"], map_name=map_name)
 
 
+def import_maker(name: str) -> Callable[[CyclicLoopVectorEnv], Policy]:
+    """Return the function with the name ``module:function``.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    module, _, function = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), function)
+    except (ImportError, ValueError, AttributeError) as error:
+        raise ConfigError(f"there is no agent {name!r}: {error}; expected module:function.") from error
+
+
 def compare(
     names: Sequence[str],
     *,
@@ -93,7 +116,7 @@ def compare(
     names : sequence of str
         As `load_contestant` takes them.
     maps : sequence of str
-        By default what the models among the agents were trained on; without models, Killian Court.
+        By default the maps that the models among the agents were trained on; without models, Killian Court.
     action_type : str, optional
         As for `load_contestant`.
     seeds, options
@@ -104,15 +127,15 @@ def compare(
     Raises
     ------
     ConfigError, FloorPlanError
-        Before anything is run, if any of the arguments doesn't fit.
+        If an argument doesn't fit; raised before the first episode.
     """
     seeds, settings = checked_seeds(seeds), dict(settings or {})
-    pools = [load_floor_plans(map_name) for map_name in maps]
     contestants = [load_contestant(name, action_type, **settings, map_name=DEFAULT_MAP) for name in names]
     trained_on = {entry.map_name for entry in contestants if entry.map_name}
-    if len(trained_on) > 1 and not pools:
+    if len(trained_on) > 1 and not maps:
         raise ConfigError("the models were trained on different maps; say with --map on which to compare them.")
-    for pool in pools or [load_floor_plans(name) for name in next(iter(trained_on), (DEFAULT_MAP,))]:
+    robot = from_mapping(RobotConfig, settings.get("robot"))
+    for pool in [load_floor_plans(name, robot.radius) for name in maps or next(iter(trained_on), (DEFAULT_MAP,))]:
         for entry in contestants:
             settings["action_type"] = entry.action_type
             yield evaluate(entry.policy, agent=entry.name, seeds=seeds, map_name=pool, **settings, **options)

@@ -1,4 +1,4 @@
-"""Agents that need no training, by name: baselines that know nothing, the explorer, its rivals, and privileged ones."""
+"""Agents that need no training, by name: the baselines, which follow fixed rules, the explorer, and its rivals."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from cyclic_env.config import ActionType, EnvConfig
 from cyclic_env.validation import check_choice
 
 CLAIMS = "+claims"
-"""Ending of the names of agents that claim in every step to be back at the start."""
+"""Suffix of the names of agents that claim in every step to be back at the start."""
 
 _DRIVES: dict[str, Callable[..., ScriptedAgent]] = {
     "circling": partial(WallFollowingAgent, side=LEFT, wall_distance=CLEAR_OF_WALL),
@@ -51,11 +51,12 @@ _EXPLORERS = {
     "knn_paper_appearance": preset("paper", detector="knn"),
     "knn_paper_position": preset("paper", detector="position"),
 }
-_RIVALS = {
+_FRONTIERS = {
     "frontier": FrontierAgentConfig(),
     "frontier_lite": FrontierAgentConfig(order="explore_lite"),
     "frontier_loops": FrontierAgentConfig(closes_loops=True),
 }
+_CIRCLING_RIGHT = partial(WallFollowingAgent, side=RIGHT, wall_distance=CLEAR_OF_WALL)
 _PRIVILEGED = ("oracle", "perfect_detector")
 
 
@@ -65,13 +66,13 @@ def privileged_names() -> tuple[str, ...]:
 
 
 def baseline_names() -> tuple[str, ...]:
-    """Return the names of the agents that know nothing."""
+    """Return the names of the agents that follow fixed rules."""
     return tuple(_BASELINES)
 
 
 def agent_names() -> tuple[str, ...]:
     """Return the names that `make_agent` knows."""
-    return (*_EXPLORERS, *_RIVALS, *_PRIVILEGED, *_BASELINES)
+    return (*_EXPLORERS, *_FRONTIERS, "circling_right", *_PRIVILEGED, *_BASELINES)
 
 
 def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = None, seed: int = 0) -> BatchPolicy:
@@ -82,27 +83,32 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
     name : str
         One of `agent_names`.
     env : CyclicLoopEnv or CyclicLoopVectorEnv, optional
-        What it is for, perhaps wrapped: the agent takes its laser, robot and action type from there. A privileged
-        agent needs it, and drives only in it.
+        The environment to drive in, perhaps wrapped; the agent takes its laser, robot and action type from there.
+        A privileged agent needs it, and drives in no other.
     action_type : {"wheels", "twist", "discrete"}, optional
-        By default the environment's; without one, ``"wheels"``.
+        By default the environment's, or ``"wheels"`` without one.
     seed : int
-        For agents that draw.
+        Seed of agents that draw random numbers.
 
     Raises
     ------
     ConfigError
-        If there is no such agent (the message lists them and the nearest), or a privileged one has no environment.
+        If there is no such agent (the message lists all names and suggests the nearest), or a privileged one has no
+        environment.
     """
     check_choice("agent", name, agent_names())
     settings = EnvConfig() if env is None else env.unwrapped.config
     actions = action_type or settings.action_type
     if name in _BASELINES:
-        return _BASELINES[name](action_type=actions, seed=seed)
-    if name in _RIVALS:
-        return FrontierPolicy(_RIVALS[name], settings.laser, settings.robot, action_type=actions)
+        return _BASELINES[name](action_type=actions, seed=seed, laser=settings.laser)
+    if name == "circling_right":
+        return ScriptedPolicy(_CIRCLING_RIGHT, action_type=actions, laser=settings.laser)
+    if name in _FRONTIERS:
+        return FrontierPolicy(_FRONTIERS[name], settings.laser, settings.robot, action_type=actions)
     if name == "oracle":
         return OraclePolicy(env, action_type=actions)
     if name == "perfect_detector":
-        return PerfectDetectorPolicy(preset("extended").fitted(settings.laser, settings.robot), env, action_type=actions)
+        return PerfectDetectorPolicy(
+            preset("extended").fitted(settings.laser, settings.robot), env, action_type=actions
+        )
     return KnnPolicy(_EXPLORERS[name].fitted(settings.laser, settings.robot), action_type=actions)

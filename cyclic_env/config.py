@@ -144,7 +144,14 @@ class NoiseConfig:
     """Probability that a range is a uniform draw up to the maximum."""
 
     def __post_init__(self) -> None:
-        for field in ("distance_drift", "slip_rate", "slip_length", "compass_white_deg", "compass_field_deg", "laser_sigma"):
+        for field in (
+            "distance_drift",
+            "slip_rate",
+            "slip_length",
+            "compass_white_deg",
+            "compass_field_deg",
+            "laser_sigma",
+        ):
             check_number(self, field, 0.0, 1e3)
         for field in ("distance_scale", "laser_sigma_relative", "laser_short", "laser_max", "laser_random"):
             check_number(self, field, 0.0, 1.0)
@@ -204,10 +211,10 @@ NOISE_PRESETS: Mapping[str, NoiseConfig] = {
     "hard": replace(_POOR, slip_rate=0.04, slip_length=0.3),
 }
 """Errors of the sensors by name. The wheels of ``hard`` slip: a wheel that loses its grip turns on without moving the
-robot, one of the non-systematic errors that no calibration removes (J. Borenstein and L. Feng, "Measurement and correction
-of systematic odometry errors in mobile robots", IEEE Trans. Robotics and Automation 12(6), 1996). The mean length is half a
-turn of a Pioneer's wheel, 195 mm wide. One slip in 25 m, as at a sill, a cable or a wet spot, is our estimate: no source
-gives a rate."""
+robot, one of the non-systematic errors that no calibration removes (J. Borenstein and L. Feng, "Measurement and
+correction of systematic odometry errors in mobile robots", IEEE Trans. Robotics and Automation 12(6), 1996). The mean
+length is half a turn of a Pioneer's wheel, which is 195 mm wide. One slip in 25 m, as at a sill, a cable or a wet spot,
+is our estimate; we know of no source for a rate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

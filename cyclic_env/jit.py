@@ -22,14 +22,14 @@ NOTICE_DELAY = 2.0
 """Seconds; loading compiled code from the cache takes less, compiling takes more."""
 
 
-def compiled(function: Callable[..., Any]) -> Any:
+def compiled(function: Callable[..., Any], *, counts_references: bool = False) -> Any:
     """Compile `function` at its first call, with strict IEEE arithmetic and without the GIL.
 
     No operations are fused or reordered, so that a row of a batch is bit-equal to a single robot, and the kernels equal
-    their NumPy twins. Kernels neither make nor keep arrays, so they need not count references (`_nrt`): counting is
+    their NumPy twins. Most kernels neither make nor keep objects, so they need not count references: counting is
     atomic, and made two threads on the same arrays slower than one.
     """
-    kernel: Any = njit(cache=True, nogil=True, error_model="numpy", _nrt=False)(function)  # pyright: ignore[reportCallIssue]
+    kernel: Any = njit(cache=True, nogil=True, error_model="numpy", _nrt=counts_references)(function)  # pyright: ignore[reportCallIssue]
     # numba's cache notices changes of a kernel's own file only, but kernels of other files are compiled into it.
     kernel._cache._cache_file._source_stamp = _sources_digest(Path(function.__code__.co_filename))
     return kernel

@@ -25,7 +25,7 @@ OptionalFloat = Annotated[float | None, arg(metavar="X", help_behavior_hint="")]
 OptionalFile = Annotated[Path | None, arg(metavar="FILE", help_behavior_hint="")]
 OptionalFolder = Annotated[Path | None, arg(metavar="FOLDER", help_behavior_hint="")]
 Flag = Annotated[bool, arg(help_behavior_hint="")]
-"""Types of options that may be left out, whose help says what happens then."""
+"""Types of options that may be left out; their help says what happens then."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -9,7 +9,7 @@ A script begins with::
 
 and has a function ``main`` that is made a `command`.
 
-Exit codes: 0; 1 where the answer of a command is no, such as a replay that differs; 2 for bad input, and for files that
+Exit codes: 0; 1 if the command's answer is no, such as for a replay that differs; 2 for bad input and for files that
 can't be read or written; 128 + the number of the signal, so 130 after Ctrl-C, for a command that was interrupted.
 """
 
@@ -20,6 +20,7 @@ import functools
 import importlib
 import importlib.util
 import os
+import shutil
 import signal
 import sys
 import threading
@@ -80,7 +81,7 @@ def _interrupt(signum: int, _: Any) -> NoReturn:
 
 
 def _send_again(unraisable: Any) -> None:
-    """Send a signal again that came where nothing can be raised, such as in a callback of LLVM while code is loaded."""
+    """Resend a signal that arrived where no exception can be raised, such as in a callback of LLVM that loads code."""
     if isinstance(unraisable.exc_value, KeyboardInterrupt):
         threading.Timer(0.1, os.kill, (os.getpid(), _signal_of(unraisable.exc_value))).start()
     else:
@@ -88,7 +89,7 @@ def _send_again(unraisable: Any) -> None:
 
 
 class _LastingStream:
-    """An output stream that falls silent when nobody reads it any more, or its disk is full, so that work goes on."""
+    """An output stream that falls silent when nobody reads it any more or its disk is full, so that work goes on."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -119,7 +120,7 @@ class _LastingStream:
 
 
 def command(options: type[T], examples: str = "") -> Callable[[Callable[[T], int | None]], Callable[..., int]]:
-    """Make a command of a function that takes the options: parse, return an exit code, print one line for an error.
+    """Turn a function of the options into a command that parses them, prints one line for an error, and returns a code.
 
     Parameters
     ----------
@@ -178,7 +179,7 @@ class Interruption:
 
 @contextlib.contextmanager
 def interruptible() -> Iterator[Interruption]:
-    """Go on behind the block if it is interrupted, so that what it has done can be kept."""
+    """Continue after the block if it is interrupted, so that what it has done can be kept."""
     interruption = Interruption()
     try:
         yield interruption
@@ -191,7 +192,7 @@ def _signal_of(interrupt: KeyboardInterrupt) -> int:
 
 
 def progress_bar(total: int | None = None, unit: str = "it", **options: Any) -> tqdm:
-    """Return a bar on stderr that goes away at its end, or where stderr is no terminal a line every `REPORT_S`."""
+    """Return a progress bar on stderr, removed at its end; where stderr is no terminal, a line every `REPORT_S`."""
     from tqdm import tqdm
 
     class Lines(tqdm):
@@ -206,4 +207,5 @@ def progress_bar(total: int | None = None, unit: str = "it", **options: Any) -> 
             pass
 
     kind = tqdm if sys.stderr.isatty() else Lines
-    return kind(total=total, unit=unit, leave=False, dynamic_ncols=True, miniters=0, **options)
+    columns, rows = shutil.get_terminal_size()  # never 0, unlike the size that tqdm asks for
+    return kind(total=total, unit=unit, leave=False, ncols=columns - 1, nrows=rows, miniters=0, **options)

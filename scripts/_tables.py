@@ -1,4 +1,4 @@
-"""Tables that commands print: evaluations side by side, and the scores of one episode."""
+"""The tables that commands print: evaluations side by side, and the scores of one episode."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ DIGITS = {
     "collisions": ("collisions", 1),
     "steps": ("steps", 0),
 }
-"""Columns of metrics, with the digits behind the point."""
+"""Columns of metrics, with the number of decimals."""
 
 
 def format_table(evaluations: Sequence[Evaluation], *, markdown: bool = False, without: Collection[str] = ()) -> str:
-    """Return a table with a line for each evaluation: means, and 95 % intervals where there are any.
+    """Return a table with a row for each evaluation: means, and 95 % intervals where there are any.
 
     Parameters
     ----------
     evaluations : sequence of Evaluation
     markdown : bool
-        With bars between the columns, for a document; else aligned with spaces, for a terminal.
+        Whether to put bars between the columns, for a document; otherwise spaces align them, for a terminal.
     without : collection of str
         Columns to leave out.
     """
@@ -69,7 +69,7 @@ def _interval(entry: Mapping[str, float], digits: int) -> str:
 
 
 def table_notes(evaluations: Sequence[Evaluation]) -> list[str]:
-    """Return what a reader of their table must know, one line each."""
+    """Return what a reader of the table must know, as one line each."""
     notes = []
     if any(evaluation.identical_episodes for evaluation in evaluations):
         notes.append(
@@ -89,7 +89,7 @@ def table_notes(evaluations: Sequence[Evaluation]) -> list[str]:
 
 
 def score_rows(info: Mapping[str, Any]) -> dict[str, str]:
-    """Return what an episode's info says of its closures and its exploration, each with its name."""
+    """Return the scores of closure and exploration in an episode's info, by name."""
     return {
         "cycles closed": f"{info['cycles_closed']} of {info['cycles_total']}",
         "false claims": f"{info['false_claims']} of {info['claims']}",
@@ -100,5 +100,5 @@ def score_rows(info: Mapping[str, Any]) -> dict[str, str]:
 
 
 def format_rows(rows: Mapping[str, str]) -> str:
-    """Return what is said of one episode, one thing a line."""
+    """Return the scores of an episode as text, one per line."""
     return "\n".join(f"{name:>20}  {value}" for name, value in rows.items())

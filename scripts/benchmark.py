@@ -1,4 +1,4 @@
-"""Measure the speed of the environment: one table, all ratios from one run, with a verdict where there is a target.
+"""Measure the speed of the environment; print a table with all ratios from one run, and a verdict on each target.
 
 Every rate is the best of five, since other work on a machine only ever slows it down.
 """
@@ -42,11 +42,11 @@ class Options:
     """Options of the command."""
 
     json: OptionalFile = None
-    """write the results there as well"""
+    """also write the results to this file"""
     quick: Flag = False
     """fewer steps"""
     walls: Flag = False
-    """only drive 10^6 steps into walls on every plan"""
+    """only drive into walls, 10^6 steps on every plan"""
 
 
 @command(Options)

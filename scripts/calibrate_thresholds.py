@@ -28,8 +28,8 @@ from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.config import ClosureConfig, RewardConfig
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans.generator.spec import SPLITS
-from cyclic_env.task.judgement import true_returns
 from cyclic_env.task.loop_closure import ELSEWHERE, RETURNS
+from cyclic_env.task.trajectory_truth import true_returns
 from scripts._cli import command, progress_bar
 
 PROCESSES_MAX = 64
@@ -37,7 +37,7 @@ NOISES = ("ideal", "calibrated")
 DETECTORS = {"both": CombinedDetector, "knn": AppearanceDetector}
 REWARD = RewardConfig()
 DIGITS = 9
-"""Decimals kept: the rounding of a cosine is far below, the steps between places far above."""
+"""Number of decimals kept: rounding errors of a cosine are far smaller, differences between places far larger."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,11 +47,11 @@ class TrainingRun:
     columns: dict[str, np.ndarray]
     """By the attributes of `Keyframes`, each `(n, ...)`."""
     truth: np.ndarray
-    """`(n, n)`, as from `true_returns`."""
+    """`(n, n)`, as returned by `true_returns`."""
 
 
 def training_run(index: int, noise: str) -> TrainingRun:
-    """Let the extended explorer drive a training plan; its way doesn't depend on any threshold."""
+    """Let the extended explorer drive a training plan; no threshold has an effect on where it drives."""
     env, policy = CyclicLoopEnv(f"generated:train,index={index}", noise=noise), KnnPolicy()
     observation, _ = env.reset(seed=index)
     state, ended = None, False
@@ -87,17 +87,17 @@ def answers(run: TrainingRun, detector: AppearanceDetector) -> tuple[np.ndarray,
 
 
 def best_threshold(similarity: np.ndarray, outcome: np.ndarray, total: int) -> dict[str, float]:
-    """Return the threshold that is worth most by the environment's reward, and the scores there.
+    """Return the threshold that earns most by the environment's reward, and the scores at this threshold.
 
-    A right answer is worth a missed revisit, a wrong one costs a false claim. Where no threshold is worth anything, it
-    is the one of the best F1 score.
+    A correct answer saves the penalty of a missed revisit, and a wrong one costs that of a false claim. If no threshold
+    earns anything, the one with the best F1 score is returned.
 
     Parameters
     ----------
     similarity, outcome : (q,)
-        Of all answers. Those that a claim would be ignored for count neither way.
+        Those of all answers. Answers whose claims would be ignored don't count.
     total : int
-        Keyframes that return anywhere, of which the recall is.
+        Number of keyframes that return anywhere, by which the recall is divided.
     """
     certain = outcome >= ELSEWHERE
     order = np.argsort(-similarity[certain], kind="stable")
@@ -109,7 +109,7 @@ def best_threshold(similarity: np.ndarray, outcome: np.ndarray, total: int) -> d
     rights = np.cumsum(right)[last]
     worth = -REWARD.missed_revisit * rights + REWARD.false_claim * (last + 1 - rights)
     best, surest = int(np.argmax(worth if worth.max(initial=0.0) > 0 else f1)), int(np.argmax(precision))
-    # Between the last answer that is taken and the first that is not: "above the threshold" is the rule.
+    # Answers above the threshold are taken, so it lies between the last one to take and the next.
     beyond = taken[best + 1] if best + 1 < len(taken) else taken[best] - 10.0**-DIGITS
     entry = {"threshold": (taken[best] + beyond) / 2, "f1": f1[best], "precision": precision[best]}
     entry |= {"recall": recall[best], "highest_precision": precision[surest], "recall_there": recall[surest]}
@@ -138,7 +138,7 @@ class Options:
     out: Path = THRESHOLDS
     """file to write; by default the explorer's own"""
     processes: int = 2
-    """how many runs at once"""
+    """number of runs at once"""
 
 
 @command(Options)

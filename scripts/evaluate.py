@@ -36,8 +36,8 @@ examples:
   python scripts/evaluate.py --all-baselines --markdown
   python scripts/evaluate.py knn --map generated:test --every-plan --episodes 200 --noise typical
 
-The agents see the same episodes: episode i is that of seed i. With ideal sensors and a fixed start seeds change nothing
-for agents that don't draw: give --noise or --random-start."""
+All agents see the same episodes: episode i has seed i. With ideal sensors and a fixed start, seeds change nothing for
+agents that draw no random numbers; give --noise or --random-start."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -47,7 +47,7 @@ class Options:
     agents: Annotated[tuple[str, ...], Positional, arg(metavar="[MODEL_OR_NAME ...]", help_behavior_hint="")] = ()
     """zip or folder of a model, or agent by name"""
     all_baselines: Flag = False
-    """all that know nothing, on all shipped plans"""
+    """all agents that follow a fixed rule, on all shipped plans"""
     map: OptionalText = None
     """floor plan, or several with commas between (default: the model's, or killian_court)"""
     noise: str = "ideal"
@@ -55,13 +55,13 @@ class Options:
     action_type: OptionalText = None
     """wheels, twist or discrete (default: the model's, or wheels)"""
     episodes: OptionalInt = None
-    """how many, with seeds 0, 1, 2 ... (default: 10)"""
+    """number of episodes, with seeds 0, 1, 2 ... (default: 10)"""
     seeds: OptionalText = None
-    """A:B, the seeds from A to B - 1, in place of --episodes"""
+    """A:B for the seeds from A to B - 1, in place of --episodes"""
     every_plan: Flag = False
-    """a pool's plans in turn, seed s on plan s (default: drawn)"""
+    """run seed s on plan s of a pool, in turn (default: draw the plans)"""
     num_envs: OptionalInt = None
-    """most episodes at once (default: 16)"""
+    """greatest number of episodes at once (default: 16)"""
     stochastic: Flag = False
     """let models draw their actions"""
     json: OptionalFile = None
@@ -93,7 +93,7 @@ def main(args: Options) -> None:
             for _ in chosen_evaluations(args, on_step):
                 if args.json:
                     write_json(evaluations, args.json)
-    finally:  # what is done is also shown when an error ends the rest
+    finally:  # episodes that have ended are shown even if an error stops the others
         count = sum(len(evaluation.episodes) for evaluation in evaluations)
         if count:
             print(tables(evaluations, markdown=args.markdown))
@@ -112,7 +112,7 @@ def chosen_evaluations(args: Options, on_step: Callable[[Evaluation], None]) -> 
     Raises
     ------
     CyclicLoopError
-        If it asks for what can't be.
+        If the command line asks for what isn't possible.
     """
     if bool(args.agents) == args.all_baselines:
         raise ConfigError("name at least one agent, or give --all-baselines alone; --help lists the names.")
@@ -132,12 +132,12 @@ def chosen_evaluations(args: Options, on_step: Callable[[Evaluation], None]) -> 
 
 
 def parse_seeds(seeds: str | None, episodes: int | None) -> range:
-    """Return the seeds that ``A:B``, or a number of episodes, stands for.
+    """Return the seeds that ``A:B`` or a number of episodes stands for.
 
     Raises
     ------
     ConfigError
-        If it stands for none, or both are given.
+        If both are given, or the text is not of this form.
     """
     if seeds is None:
         return range(10 if episodes is None else episodes)
@@ -156,7 +156,7 @@ def write_json(evaluations: Sequence[Evaluation], path: Path) -> None:
 
 
 def tables(evaluations: Sequence[Evaluation], *, markdown: bool) -> str:
-    """Return one table and its notes; in a document with several maps, a table for each under its name."""
+    """Return a table and its notes; in a document, each of several maps gets a table under its name."""
     notes = "\n".join(table_notes(evaluations))
     if not markdown or len({evaluation.map for evaluation in evaluations}) == 1:
         return f"{format_table(evaluations, markdown=markdown)}\n\n{notes}"

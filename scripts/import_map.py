@@ -31,11 +31,11 @@ from cyclic_env.floor_plans import (
     write_floor_plan,
     write_occupancy_grid,
 )
-from cyclic_env.floor_plans.occupancy.dropped import dropped_remark
+from cyclic_env.floor_plans.occupancy.dropped_places import dropped_remark
 from cyclic_env.floor_plans.occupancy.grid import UNKNOWN
 from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES
 from cyclic_env.floor_plans.occupancy.tracing import STAGES
-from cyclic_env.floor_plans.yaml_io import name_of, read_yaml
+from cyclic_env.floor_plans.strict_yaml import name_of, read_yaml
 from cyclic_env.rendering.colors import AMBER, FLOOR, INK, RIGHT, SOLID, WALL
 from cyclic_env.validation import short_repr
 from scripts._arguments import OptionalFile, OptionalFloat, OptionalFolder
@@ -49,7 +49,7 @@ EXAMPLES = """examples:
 SIZES = ("robot_radius", "speck_area", "gap", "nook_area", "door", "tolerance")
 """Options of `trace_floor_plan`."""
 DOUBTFUL_SHARE = 0.25
-"""Share of the plan's area from which light grey cells are mentioned."""
+"""Light grey cells are mentioned if their area exceeds this share of the plan's."""
 FIGURE_DPI = 130
 EXPORT_RESOLUTION = 0.05
 
@@ -92,7 +92,7 @@ def main(args: Options) -> None:
 
 
 def run(args: Options) -> list[Path]:
-    """Do what the command line asks for; return the files written.
+    """Import or export as the command line asks, and return the files written.
 
     Raises
     ------
@@ -178,7 +178,7 @@ def check_export(plan: FloorPlan, args: Options, folder: Path, inputs: Sequence[
 
 
 def export_resolution(args: Options, grid: OccupancyGrid | None) -> float:
-    """Return the resolution of an export: the one asked for, else that of the map, else the usual one."""
+    """Return the resolution of an export: the one asked for, or that of the map, or else the default."""
     if args.resolution is not None:
         return args.resolution
     return grid.resolution if grid else EXPORT_RESOLUTION

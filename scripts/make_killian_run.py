@@ -38,7 +38,7 @@ MEMBER_SHA256 = "484a895237f70c1d686e3e6504b7c383ea1a45f5848cbc554467f4157718a00
 
 MAP = "killian_court"
 ROUGH_TRANSFORM = (246.0, 83.0, math.radians(122.0))
-"""Pose of the reference's frame in the floor plan's, read off a drawing; the start of the search for the best one."""
+"""Pose of the reference's frame in the floor plan's, read off a drawing: where the search for the best pose starts."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,4 +1,4 @@
-"""Draw six buildings as maps of ROS' map_server, like an architect and like a laser scanner."""
+"""Draw six buildings as maps of ROS' map_server, some as an architect draws them, one as a laser scanner maps it."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ BEAMS, RANGE_MAX, RANGE_SIGMA = 540, 16.0, 0.015
 SCAN_SPACING = 0.5
 """Distance walked between two scans, metres."""
 OUTLIERS = 0.004
-"""Share of the beams that return from anywhere, such as from the air or from beyond a wall."""
+"""Share of the beams that return from an arbitrary distance, from the air or from beyond a wall."""
 PEOPLE = 0.2
-"""Probability that somebody stands near the scanner and is scanned."""
+"""Probability that a person stands near the scanner and is scanned."""
 PANE, MULLION = 0.4, 0.15
 """Width of the windows in outer walls, which a laser sees through, and of the posts between them, metres."""
 YARD = 9.0
@@ -45,13 +45,13 @@ YARD = 9.0
 LEGS = 0.2
 """Chair legs and the like per square metre, at most 0.15 m thick."""
 OCCUPIED_FROM = 0.25
-"""Share of the beams in a cell from which it is a wall if they ended there."""
+"""A cell is a wall if more than this share of the beams in it ended there."""
 
 Point = tuple[float, float]
 
 
 class Building(NamedTuple):
-    """A building, and how somebody with a scanner walks through it.
+    """A building, and the walk of a person with a scanner through it.
 
     Attributes
     ----------
@@ -123,7 +123,7 @@ def hospital() -> OccupancyGrid:
 
 
 def laboratory() -> OccupancyGrid:
-    """Draw three blocks with laboratories along the windows, scanned on a walk through all of them."""
+    """Draw three blocks with laboratories along the windows, as a scanner maps them on a walk through all rooms."""
     model = building(
         "laboratory",
         "Three blocks with laboratories along the windows, as a scanner leaves it",
@@ -141,10 +141,10 @@ def laboratory() -> OccupancyGrid:
 
 
 def glimpsed_loop() -> OccupancyGrid:
-    """Draw a loop that is closed only by a corridor without walls, 5 m x 1.1 m, beside a walled loop and a glimpse.
+    """Draw two loops, one of them closed only by a corridor without walls, and a yard that was seen through a door.
 
-    Nobody has been in the white corridor between the two halls in the north, nor in the yard behind the door in the
-    west, which is 0.9 m wide.
+    The scanner was neither in the white corridor between the two halls in the north, 5 m x 1.1 m, nor in the yard
+    behind the door in the west, which is 0.9 m wide.
     """
     corridors = [(2.2, _ring(30, 26)), (2.2, [(30, 0), (70, 0), (70, 26), (55, 26)])]
     rooms = [(30, 23, 42, 29), (47, 23, 58, 29), (41, 25.4, 48, 26.5), (1, 12, 4, 12.9), (3, 7, 13, 18)]

@@ -1,4 +1,4 @@
-"""Replay a recorded episode, say whether it is equal to the bit, and print its scores."""
+"""Replay a recorded episode, tell whether the replay is bit-equal, and print its scores."""
 
 from __future__ import annotations
 

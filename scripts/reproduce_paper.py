@@ -26,13 +26,13 @@ class Options:
     quick: Flag = False
     """fewer starts and plans"""
     all: Flag = False
-    """also vary the readings, and sweep the noise"""
+    """also vary how the paper is read, and sweep the noise"""
     out: Path = Path("out/paper")
     """folder for the files"""
     docs: OptionalFolder = None
-    """also write paper.md and small pictures there"""
+    """also write paper.md and small pictures to this folder"""
     processes: int = 2
-    """how many runs at once"""
+    """number of runs at once"""
 
 
 @command(Options)

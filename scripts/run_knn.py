@@ -51,8 +51,8 @@ class Options:
     detector: OptionalText = None
     """both, knn or position (default: both)"""
     measure: OptionalText = None
-    """measure of similarity (default: cosine); it changes little where the position leaves few places to compare,
-    so try it with paper or --detector knn"""
+    """measure of similarity (default: cosine); it matters little where the position leaves few places to compare,
+    so try it with --preset paper or --detector knn"""
     noise: str = "ideal"
     """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one"""
     seed: int = 0
@@ -64,7 +64,7 @@ class Options:
     human: Flag = False
     """show the run in a window, in real time: 5 steps a second"""
     no_gif: Flag = False
-    """write no animation, which takes half of the time"""
+    """write no animation, which would take half of the time"""
     export: OptionalFolder = None
     """write the recording, the trajectories (TUM) and the pose graph (g2o)"""
     env: EnvOptions = field(default_factory=EnvArguments)
@@ -119,20 +119,20 @@ class Run:
     Attributes
     ----------
     info : dict
-        The last one.
+        The last info.
     explorer : KnnExplorer or None
-        With all that it remembers; None before the first step.
+        The explorer with its memory; None before the first step.
     episode_return : float
     reward_terms : dict
-        Sums of the return's terms.
+        The return, by terms of the reward.
     steps : int
     ending : str
         Why the episode ended; `INTERRUPTED` until it has.
     stopped_at : int or None
-        The step at which the explorer had nothing left to explore; from there on it stands.
+        The step at which the explorer had nothing left to explore; from then on it stands still.
     env_s, agent_s : list of float
-        Seconds of each step up to there, in the environment and in the agent, without those steps in which numba
-        compiled or loaded a kernel.
+        Seconds that each step up to then took in the environment and in the agent. Steps in which numba compiled or
+        loaded a kernel are left out.
     """
 
     def __init__(self, recorder: Recorder, animation: GifWriter | None = None) -> None:
@@ -178,7 +178,7 @@ class Run:
                 progress.update()
 
     def _step(self, policy: KnnPolicy, observation: Any, state: Any) -> tuple[Any, Any, tuple[float, float]]:
-        """Decide and drive; return the observation, the policy's state, and the seconds for either."""
+        """Decide and drive; return the observation, the policy's state, and the seconds that either took."""
         began = time.perf_counter()
         action, state = policy.predict(observation, state)
         decided = time.perf_counter()
@@ -204,7 +204,7 @@ class Run:
         return self.recorder.recording({"corrected": corrected})
 
     def metrics(self) -> dict[str, Any]:
-        """Return the last info's scalars and what else there is to say of the run, as plain values."""
+        """Return the last info's scalars and the other measures of the run, as plain values."""
         assert self.explorer is not None
         plan = self.env.floor_plan
         tour = plan.closed_tour()
@@ -231,15 +231,15 @@ class Run:
 
 
 def mean(values: Sequence[float]) -> float | None:
-    """Return the mean; None of nothing."""
+    """Return the mean of the values, or None if there are none."""
     return statistics.fmean(values) if values else None
 
 
 def track_errors(recording: Recording) -> dict[str, float | None]:
     """Return the errors of dead reckoning, at every step, and of the corrected track, at its keyframes; metres.
 
-    ``ate`` is the absolute trajectory error in the true frame, ``aligned`` after a rigid alignment, ``end`` the error
-    of the last position; None where there is no keyframe yet.
+    ``ate`` is the absolute trajectory error in the true frame, ``aligned`` the one after a rigid alignment, and ``end``
+    the error of the last position. The values are None if there is no keyframe yet.
     """
     true, errors = recording.poses[:, :2], dict[str, float | None]()
     corrected = recording.tracks["corrected"]
@@ -274,7 +274,7 @@ def export(run: Run, folder: Path) -> None:
 
 
 def score_table(metrics: dict[str, Any]) -> str:
-    """Return the scores, one a line."""
+    """Return the scores, one per line."""
     scores = score_rows(metrics)
     if metrics["path_over_tour"] is not None:
         scores["path"] += f", {metrics['path_over_tour']:.2f} times the shortest tour of all corridors"
@@ -306,7 +306,7 @@ def score_table(metrics: dict[str, Any]) -> str:
 
 
 def draw_run(run: Run, metrics: dict[str, Any], file: Path) -> None:
-    """Write the figure of a run: true path, groups, open areas and claims, all where they truly were."""
+    """Write the figure of a run: true path, groups, open areas and claims, all at their true positions."""
     from agents.knn.plotting import draw_groups, draw_open_areas
     from cyclic_env.rendering.figures import add_legend, draw_claims, draw_path, plan_figure
 

@@ -30,7 +30,7 @@ class Options:
     algo: OptionalText = None
     """ppo, maskable_ppo, a2c, sac or td3 (default: ppo; headings: maskable_ppo)"""
     steps: int = 300_000
-    """steps of all robots together, rounded up"""
+    """number of steps of all robots together, rounded up to whole updates"""
     map: OptionalText = None
     """floor plan, or several with commas between (default: ring; headings: generated:train)"""
     noise: OptionalText = None
@@ -39,7 +39,7 @@ class Options:
     action_type: OptionalText = None
     """wheels, twist or discrete (default: wheels)"""
     num_envs: OptionalInt = None
-    """robots at once (default: as the hyperparameters say)"""
+    """number of robots at once (default: as the hyperparameters say)"""
     hyperparameters: OptionalFile = None
     """YAML file (default: the one that is shipped for task and algorithm)"""
     validation_map: OptionalText = None
@@ -50,7 +50,7 @@ class Options:
     out: OptionalFolder = None
     """folder to write to (default: out/ALGO_MAP)"""
     resume: Flag = False
-    """go on with the model in the folder until --steps"""
+    """continue the training of the model in the folder until --steps"""
     overwrite: Flag = False
     """replace the model in the folder"""
     env: EnvOptions = field(default_factory=EnvArguments)

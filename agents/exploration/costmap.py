@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.settings import ComponentConfig, kernel_tuple, pack
+from agents.component_config import ComponentConfig, kernel_tuple, pack
 from agents.slam.scan_filters import SHORT_OF_REACH
 from cyclic_env.jit import compiled
 

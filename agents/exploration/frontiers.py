@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from agents.component_config import ComponentConfig, pack
 from agents.exploration.visibility import (
     DOUBTFUL,
     UNBOUNDED,
@@ -19,7 +20,6 @@ from agents.exploration.visibility import (
     seen_through,
     to_track,
 )
-from agents.settings import ComponentConfig, pack
 from agents.slam.keyframes import Keyframes
 from agents.slam.se2 import euclidean_distances
 

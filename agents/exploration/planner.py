@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agents.component_config import ComponentConfig
 from agents.exploration.costmap import Costmap
 from agents.exploration.frontiers import Frontiers
 from agents.exploration.visibility import clear_beam, clear_lengths
-from agents.settings import ComponentConfig
 from agents.slam.keyframes import Keyframes, Paths
 from agents.slam.se2 import euclidean_distances, wrap_angle
 from cyclic_env.jit import compiled

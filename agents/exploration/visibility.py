@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.settings import ComponentConfig, kernel_tuple
+from agents.component_config import ComponentConfig, kernel_tuple
 from agents.slam.scan_filters import SHORT_OF_REACH
 from cyclic_env.jit import compiled
 

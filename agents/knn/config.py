@@ -9,12 +9,12 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
+from agents.component_config import ComponentConfig
 from agents.exploration.costmap import CostmapConfig
 from agents.exploration.frontiers import FrontierConfig
 from agents.exploration.planner import PlannerConfig
 from agents.exploration.visibility import VisibilityConfig
 from agents.knn.similarity import MEASURES, measure_by_name
-from agents.settings import ComponentConfig
 from agents.slam.keyframes import KeyframeConfig
 from agents.slam.pose_graph import PoseGraphConfig
 from agents.slam.scan_filters import FilterConfig

@@ -1,7 +1,7 @@
 """Frontier explorers: nearest frontier, explore_lite's weighting, and active loop closing.
 
-They see what any agent sees: laser, distance meter and compass. They draw an occupancy grid by dead reckoning, and claim to
-be back where dead reckoning says so.
+They see what any agent sees: laser, distance meter and compass. They draw an occupancy grid by dead reckoning, and
+claim to be back where dead reckoning says so.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 
 from agents.actions import Decision, match_of
 from agents.base import Agent, BatchPolicy
+from agents.component_config import ComponentConfig
 from agents.exploration.planner import PlannerConfig, look_ahead, steer_to
 from agents.exploration.visibility import clear_lengths
 from agents.rivals.occupancy import Frontier, OccupancyConfig, OccupancyGrid
 from agents.rivals.returns import Places, ReturnConfig
-from agents.settings import ComponentConfig
 from agents.slam.panorama import panorama_beams, spread_beams
 from agents.slam.tracker import DeadReckoningTracker
 from cyclic_env.config import ActionType, LaserConfig, RobotConfig
@@ -45,8 +45,8 @@ class ChoiceConfig(ComponentConfig):
     potential_scale: float = 3.0
     gain_scale: float = 1.0
     lite_cell: float = 0.05
-    """Of explore_lite (J. Horner, "Map-merging for multi-robot system", 2016; the launch file's values): cost of a metre of
-    way, worth of a cell of frontier, and the size of a cell, for which these were chosen."""
+    """Of explore_lite (J. Horner, "Map-merging for multi-robot system", 2016; the values of its launch file): cost of a
+    metre of way, worth of a cell of frontier, and the usual size of a cell, for which these were chosen."""
     loop_gain: float = 20.0
     """Metres that a way just found must be shorter than the one that was driven, to be taken to close a loop
     (C. Stachniss, D. Haehnel and W. Burgard, "Exploration with active loop-closing for FastSLAM", IROS 2004)."""

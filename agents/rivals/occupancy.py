@@ -1,9 +1,9 @@
 """An occupancy grid of all that a robot has sensed, its frontiers, and the cheapest ways over it.
 
-The grid is drawn where dead reckoning says that the robot is, and never corrected. It is that of S. Thrun, W. Burgard and
-D. Fox, Probabilistic Robotics, 9.2, with the numbers of OctoMap (A. Hornung et al., Autonomous Robots 34, 2013). A frontier
-is a connected set of free cells beside unknown ones (B. Yamauchi, "A frontier-based approach for autonomous exploration",
-CIRA 1997).
+The grid is drawn where dead reckoning says that the robot is, and never corrected. It is that of S. Thrun, W. Burgard
+and D. Fox, Probabilistic Robotics, 9.2, with the numbers of OctoMap (A. Hornung et al., Autonomous Robots 34, 2013). A
+frontier is a connected set of free cells beside unknown ones (B. Yamauchi, "A frontier-based approach for autonomous
+exploration", CIRA 1997).
 
 The kernels do not validate.
 """
@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.settings import ComponentConfig, kernel_tuple, pack
+from agents.component_config import ComponentConfig, kernel_tuple, pack
 from agents.slam.scan_filters import SHORT_OF_REACH
 from cyclic_env.config import LaserConfig
 from cyclic_env.jit import compiled
@@ -266,15 +266,11 @@ class OccupancyGrid:
     def find_ways(self, pose: np.ndarray) -> None:
         """Find the cheapest ways from a pose to everywhere."""
         i, j = self._cell(pose)
-        spread_costs(
-            self._cost, (i, j), self._costs_to_go, self._before, self._queue, self._waiting, self._values
-        )
+        spread_costs(self._cost, (i, j), self._costs_to_go, self._before, self._queue, self._waiting, self._values)
 
     def frontiers(self, least_cells: int) -> list[Frontier]:
         """Return the frontiers of at least so many cells that a way leads to; after `find_ways`."""
-        count = label_frontiers(
-            self.log_odds, self._banned, self._costs_to_go, self._waiting, self._queue, self._found
-        )
+        count = label_frontiers(self.log_odds, self._banned, self._costs_to_go, self._waiting, self._queue, self._found)
         return [
             Frontier(int(cells), float(cost), int(goal))
             for cells, cost, goal in self._found[:count]

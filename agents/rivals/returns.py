@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agents.component_config import ComponentConfig
 from agents.knn.loop_detector import revisit_candidates
 from agents.rivals.occupancy import OccupancyGrid
-from agents.settings import ComponentConfig
 from agents.slam.keyframes import CAPACITY, KeyframeTable
 from agents.slam.se2 import euclidean_distances
 
@@ -77,7 +77,7 @@ class Places(KeyframeTable):
         return True
 
     def returned_step(self, grid: OccupancyGrid) -> int | None:
-        """Return the step at which the robot was at the nearest place that the last one returns to; None without one."""
+        """Return the step of the nearest place that the robot is back at, at the last one; None without one."""
         config = self.config
         distances = euclidean_distances(self.pose, self.pose[-1])
         back = revisit_candidates(self.path, distances, config.gap, config.leave)

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from agents.settings import ComponentConfig
+from agents.component_config import ComponentConfig
 from cyclic_env.jit import compiled
 
 CAPACITY = 256

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.settings import ComponentConfig
+from agents.component_config import ComponentConfig
 from agents.slam.local_graph import optimize_window
 from agents.slam.registration import PanoramaMatcher
 from agents.slam.run_map import RunMap

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.settings import ComponentConfig
+from agents.component_config import ComponentConfig
 from agents.slam.consistency import find_consistent, grow_set
 from agents.slam.local_tracker import LocalTracker
 from agents.slam.panorama import signature_distances

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from agents.settings import ComponentConfig
+from agents.component_config import ComponentConfig
 from agents.slam.local_tracker import LocalTracker, LocalTrackerConfig
 from agents.slam.loop_closer import LoopCloser, LoopCloserConfig, in_sight
 from agents.slam.panorama import keep_steady, merge_scans, panorama_beams, signature, spread_beams

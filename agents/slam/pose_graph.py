@@ -13,7 +13,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
 
-from agents.settings import ComponentConfig
+from agents.component_config import ComponentConfig
 from agents.slam.se2 import relative, wrap_angle
 
 

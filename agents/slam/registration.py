@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.settings import pack
+from agents.component_config import pack
 from agents.slam.scan_filters import SHORT_OF_REACH
 from agents.slam.scan_matching import Estimate, MatcherConfig, MatcherValues, Prior, Reference, align, min_eigenvalue
 from agents.slam.wall_lines import fit_wall_lines

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.settings import ComponentConfig
+from agents.component_config import ComponentConfig
 from cyclic_env.jit import compiled
 
 SHORT_OF_REACH = 0.05

@@ -27,7 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.settings import ComponentConfig, kernel_tuple, pack
+from agents.component_config import ComponentConfig, kernel_tuple, pack
 from agents.slam.keyframes import Keyframes
 from agents.slam.scan_filters import SHORT_OF_REACH
 from agents.slam.se2 import compose, relative

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from agents.settings import ComponentConfig
+from agents.component_config import ComponentConfig
 from agents.slam.keyframes import Keyframes
 from agents.slam.pose_graph import PoseGraphConfig, optimize
 from agents.slam.scan_matching import Match, ScanMatcher

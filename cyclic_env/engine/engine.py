@@ -20,7 +20,8 @@ import shapely
 from cyclic_env.config import DISTANCE_MAX, EnvConfig
 from cyclic_env.engine.actions import check_actions, decode_actions
 from cyclic_env.engine.building import add_plan, make_buildings, make_episodes, step_budget
-from cyclic_env.engine.kernels import begin_episode, judge_rows, wrap_angle
+from cyclic_env.engine.kernels import begin_episode, wrap_angle
+from cyclic_env.engine.packed import Packed, judge_packed_rows, pack
 from cyclic_env.engine.stage_timer import NoTimer
 from cyclic_env.errors import ConfigError, FloorPlanError, UsageError
 from cyclic_env.floor_plans import FloorPlan, PlanPool
@@ -90,6 +91,7 @@ class Engine:
             self._commands = np.zeros((num_robots, 2))
             self._claimed = np.full(num_robots, NO_CLAIM, np.int64)
         self.info, self.terms, self.outcome = self.episodes.info, self.episodes.terms, self.episodes.outcome
+        self._packed: Packed | None = None
         self._not_placed = set(range(num_robots))
         self._shares: list[Share] = []
         self._threads: ThreadPoolExecutor | None = None
@@ -125,6 +127,7 @@ class Engine:
             self._reachable_area(index)
             with self._enough_memory(plan):
                 self.buildings, self.episodes = add_plan(self.buildings, self.episodes, plan, self.config)
+            self._packed = None
             self.simulation.plans = (*self.simulation.plans, plan)
             self._numbers[index] = len(self._numbers)
         return self._numbers[index]
@@ -210,6 +213,8 @@ class Engine:
         self.timer.lap("actions")
         shares = self._divide_work(skip)
         with self._compiling():
+            if self._packed is None:
+                self._packed = pack(self.buildings, self.episodes)
             self._run(shares, rngs)
         Engine._warm = True
 
@@ -248,7 +253,7 @@ class Engine:
         for world in worlds:
             self.simulation.drive_world(world, self._commands)
         self.timer.lap("drive")
-        judge_rows(self.buildings, self.episodes, rows, self._claimed)
+        judge_packed_rows(self._packed, rows, self._claimed)
         self.timer.lap("judge")
         self.measure(rows, rngs)
         self.timer.lap("sensors")
@@ -331,8 +336,8 @@ class Engine:
             self._threads = None
 
     def __getstate__(self) -> dict[str, Any]:
-        # Spaces and threads belong to a process and are made again when needed.
-        return {**self.__dict__, "_shares": [], "_threads": None}
+        # Spaces, threads and packed arguments belong to a process and are made again when needed.
+        return {**self.__dict__, "_shares": [], "_threads": None, "_packed": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)

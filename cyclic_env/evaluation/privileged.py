@@ -43,7 +43,7 @@ class PrivilegedView:
     def __init__(self, env: gymnasium.Env[Any, Any] | VectorEnv[Any, Any, Any] | None) -> None:
         inner = getattr(env, "unwrapped", None)
         if not isinstance(inner, CyclicLoopEnv | CyclicLoopVectorEnv):
-            raise ConfigError(f"the env is {short_repr(env)}; a privileged agent needs the environment that it drives in.")
+            raise ConfigError(f"the env is {short_repr(env)}; a privileged agent needs the environment to drive in.")
         self._engine = inner.engine
 
     @property
@@ -113,6 +113,16 @@ class Survey:
     def look(self, poses: np.ndarray) -> int:
         """Mark the cells that scans from the poses `(n, 3)` see, and return how many are new."""
         return look_from(self._walls, self._grid, poses, self._beams, self._scratch, self._ranges)
+
+    @property
+    def num_cells(self) -> int:
+        """Number of the free cells."""
+        return self._grid.seen.shape[1]
+
+    @property
+    def seen(self) -> np.ndarray:
+        """Which free cells have been seen, `(num_cells,)` bool, row by row from the south-west."""
+        return self._grid.seen[0]
 
     @property
     def share(self) -> float:

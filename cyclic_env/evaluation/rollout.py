@@ -20,7 +20,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from cyclic_env.envs.vector import CyclicLoopVectorEnv
 from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation.statistics import Evaluation
-from cyclic_env.floor_plans import PlanPool, load_floor_plans, pool_label
+from cyclic_env.floor_plans import PlanPool, pool_label
 from cyclic_env.validation import is_integer, short_repr
 
 BATCH_SIZE = 16
@@ -83,9 +83,9 @@ def evaluate(
     ConfigError, FloorPlanError
         If the policy, the seeds or the settings don't fit.
     """
-    seeds, pool = checked_seeds(seeds), load_floor_plans(map_name)
+    seeds = checked_seeds(seeds)
     settings |= {"noise": noise, "num_envs": BATCH_SIZE if num_envs is None else num_envs}
-    evaluation = _empty_evaluation(policy, agent, pool, seeds, settings)
+    evaluation, pool = _empty_evaluation(policy, agent, map_name, seeds, settings)
     order = {seed: index for index, seed in enumerate(seeds)}
     for plans, its_seeds in _parts(pool, seeds) if every_plan else [(pool, seeds)]:
         with closing(_make_env(plans, its_seeds, settings)) as env:
@@ -96,18 +96,18 @@ def evaluate(
 
 
 def _empty_evaluation(
-    policy: Policy, agent: str, pool: PlanPool, seeds: Sequence[int], settings: Mapping[str, Any]
-) -> Evaluation:
-    """Check all plans and settings by making an environment, and return an evaluation without episodes."""
-    env = _make_env(pool, seeds, settings)
-    config = env.config
+    policy: Policy, agent: str, map_name: Any, seeds: Sequence[int], settings: Mapping[str, Any]
+) -> tuple[Evaluation, PlanPool]:
+    """Check all plans and settings by making an environment; return an evaluation without episodes, and the plans."""
+    env = _make_env(map_name, seeds, settings)
+    config, pool = env.config, env.floor_plans
     env.close()
     action_type = getattr(policy, "action_type", config.action_type)
     if action_type != config.action_type:
         raise ConfigError(
             f"the policy has action type {short_repr(action_type)}, but the environment has {config.action_type!r}."
         )
-    return Evaluation(
+    evaluation = Evaluation(
         agent=agent,
         map=pool_label(pool.names),
         noise=config.noise_name,
@@ -116,14 +116,15 @@ def _empty_evaluation(
         seeds=tuple(seeds),
         episodes=[],
     )
+    return evaluation, pool
 
 
-def _make_env(plans: PlanPool, seeds: Sequence[int], settings: Mapping[str, Any]) -> CyclicLoopVectorEnv:
+def _make_env(map_name: Any, seeds: Sequence[int], settings: Mapping[str, Any]) -> CyclicLoopVectorEnv:
     """Return an environment with as many rows as there is work for."""
     settings = dict(settings)
     num_envs = settings.pop("num_envs")
     rows = min(num_envs, len(seeds)) if is_integer(num_envs) else num_envs
-    return CyclicLoopVectorEnv(rows, plans, autoreset_mode="SAME_STEP", **settings)
+    return CyclicLoopVectorEnv(rows, map_name, autoreset_mode="SAME_STEP", **settings)
 
 
 def _parts(pool: PlanPool, seeds: Sequence[int]) -> Iterator[tuple[PlanPool, list[int]]]:

@@ -15,7 +15,7 @@ from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import FloorPlan, polygon_from_corridors, polygon_from_rings
 from cyclic_env.floor_plans.occupancy.map_server import IMAGE_SUFFIXES, occupancy_grid_from_mapping
 from cyclic_env.floor_plans.occupancy.tracing import trace_floor_plan
-from cyclic_env.floor_plans.yaml_io import (
+from cyclic_env.floor_plans.strict_yaml import (
     as_list,
     as_number,
     as_start,

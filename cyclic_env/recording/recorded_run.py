@@ -19,7 +19,6 @@ from cyclic_env.floor_plans import FloorPlan, load_floor_plan
 from cyclic_env.jit import compiled
 from cyclic_env.recording.readers import read_robot_log
 from cyclic_env.recording.robot_log import RobotLog
-from cyclic_env.task.judgement import memory_for
 from cyclic_env.task.loop_closure import (
     advance_along,
     begin,
@@ -31,6 +30,7 @@ from cyclic_env.task.loop_closure import (
 )
 from cyclic_env.task.path_history import building_view, robot_view
 from cyclic_env.task.rewards import REWARD_TERMS, reward_weights
+from cyclic_env.task.trajectory_truth import memory_for
 from cyclic_env.trajectory.poses import compose
 from cyclic_env.validation import from_mapping
 

@@ -21,7 +21,7 @@ With true positions p, path length s and the settings of `ClosureConfig`:
   of those before (see `cyclic_env.task.homology`).
 
 Nothing else decides what counts as a return. The environments judge step by step with `advance` and `judge_claim`;
-`cyclic_env.task.judgement` judges whole trajectories with the same functions.
+`cyclic_env.task.trajectory_truth` judges whole trajectories with the same functions.
 """
 
 from __future__ import annotations

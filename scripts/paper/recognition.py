@@ -15,8 +15,8 @@ from sklearn.metrics import precision_recall_curve
 
 from agents.knn.similarity import MEASURES, Measure
 from cyclic_env import load_floor_plan
-from cyclic_env.task.judgement import true_returns
 from cyclic_env.task.loop_closure import RETURNS
+from cyclic_env.task.trajectory_truth import true_returns
 from scripts.paper.runs import RunRecord, drive_again
 
 SECTORS, BEAMS = "7 sectors", "all beams"

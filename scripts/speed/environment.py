@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -36,7 +37,7 @@ STAGES = {
 
 @njit(error_model="numpy")  # not cached: numba can't find a script's functions when it runs under another name
 def scan_all(tiles, poses, beams, scratch, ranges):
-    """Scan from every pose, without the cost of a call from Python for each."""
+    """Scan from every pose in one call from Python."""
     for i in range(poses.shape[0]):
         scan_row(tiles, 0, (poses[i, 0], poses[i, 1], poses[i, 2]), beams, scratch, ranges[i])
 
@@ -52,7 +53,7 @@ def free_poses(plan: FloorPlan, count: int) -> np.ndarray:
 
 
 def measure_machine() -> Iterator[Row]:
-    """Time plain Python, by which rates of different machines, or of a busy hour, can be compared."""
+    """Time plain Python, so that rates of different machines, or of a busy one, can be compared."""
     yield Row("machine", "10^7 additions in a Python loop", best_time(lambda: sum(i for i in range(10**7))), "s")
 
 
@@ -85,7 +86,7 @@ def measure_laser() -> Iterator[Row]:
 
 
 def driving_actions(num_envs: int) -> np.ndarray:
-    """Return actions that drive at full speed, turn now and then, and meet walls, so that the robots spread."""
+    """Return actions that drive at full speed, turn now and then and run into walls, so that the robots spread out."""
     rng = np.random.default_rng(0)
     actions = random_actions(num_envs)
     actions[..., :2] = 1.0
@@ -96,7 +97,7 @@ def driving_actions(num_envs: int) -> np.ndarray:
 
 
 def measure_single_env() -> Iterator[Row]:
-    """Step one environment through `gymnasium.make`, wrappers and all."""
+    """Step one environment made by `gymnasium.make`, with its wrappers."""
     env = gymnasium.make("CyclicLoop-v0", map_name="killian_court")
     env.reset(seed=0)
     actions = random_actions(1)[:, 0]
@@ -109,7 +110,7 @@ def measure_single_env() -> Iterator[Row]:
 
 
 def measure_vector_env(quick: bool) -> Iterator[Row]:
-    """Step the vector environment at several sizes, everything in."""
+    """Step the vector environment at several sizes; everything that a step does is included."""
     base = 0.0
     for num_envs in (1, 64, 256) if quick else (1, 64, 256, 1024):
         env = gymnasium.make_vec("CyclicLoop-v0", num_envs=num_envs, map_name="killian_court")
@@ -147,7 +148,7 @@ def measure_pool() -> Iterator[Row]:
 
 
 def measure_phases() -> Iterator[Row]:
-    """Time the stages of a step at N = 256 on one core; the rest of it is the Python between them."""
+    """Time the stages of a step at N = 256 on one core; what remains is the Python code between them."""
     env = CyclicLoopVectorEnv(256, "killian_court", num_threads=1)
     actions = driving_actions(256)
     rate_of(env, actions, 50)
@@ -173,14 +174,15 @@ def measure_phases() -> Iterator[Row]:
 
 
 def measure_memory(steps: int) -> Iterator[Row]:
-    """Step 1,024 robots in a process of its own and see what it took at most."""
-    peak = run_python(
-        "import resource, numpy, gymnasium, cyclic_env\n"
-        "env = gymnasium.make_vec('CyclicLoop-v0', num_envs=1024, map_name='killian_court'); env.reset(seed=0)\n"
-        f"for i in range({steps}): env.step(numpy.tile(numpy.float32([1, .9, -1, 0]), (1024, 1)))\n"
-        "print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss)"
-    )
-    yield Row("memory", f"1,024 rows after {steps} steps", peak / 1e6, "GB", most=2)
+    """Step 1,024 robots in a process of its own, and on Linux measure its greatest use of memory."""
+    if sys.platform == "linux":  # getrusage would tell the most that this process took, if that is more
+        peak = run_python(
+            "import re, numpy, gymnasium, cyclic_env\n"
+            "env = gymnasium.make_vec('CyclicLoop-v0', num_envs=1024, map_name='killian_court'); env.reset(seed=0)\n"
+            f"for i in range({steps}): env.step(numpy.tile(numpy.float32([1, .9, -1, 0]), (1024, 1)))\n"
+            "print(re.search(r'VmHWM:\\s+(\\d+)', open('/proc/self/status').read())[1])"
+        )
+        yield Row("memory", f"1,024 rows after {steps} steps", peak / 1e6, "GB", most=2)
     env = CyclicLoopVectorEnv(1024, "killian_court")
     memory = allocate_memory(env.floor_plan(0), env.num_envs, env.step_budget(0), env.config.closure)
     room = sum(array.nbytes for array in memory if isinstance(array, np.ndarray))
@@ -188,7 +190,7 @@ def measure_memory(steps: int) -> Iterator[Row]:
 
 
 def measure_start_up() -> Iterator[Row]:
-    """Import the package, and compile its kernels without a cache, each in a process of its own."""
+    """Time the import of the package, and the compilation of its kernels without a cache, each in its own process."""
     begin = time.perf_counter()
     run_python("import cyclic_env; print(0)")
     yield Row("start-up", "python -c 'import cyclic_env'", time.perf_counter() - begin, "s", most=1)
@@ -202,7 +204,7 @@ def measure_start_up() -> Iterator[Row]:
 
 
 def measure_walls(steps: int) -> Iterator[Row]:
-    """Drive `steps` random steps on every plan and see how near a centre comes to a wall."""
+    """Drive `steps` random steps on every plan, and measure how near the robots' centres come to a wall."""
     robot = RobotConfig()
     for name in map_names():
         plan = load_floor_plan(name)

@@ -13,7 +13,7 @@ from scripts.speed.rows import Row, best_time, random_actions, rate_of
 
 
 def measure_stable_baselines() -> Iterator[Row]:
-    """Collect steps through the Stable-Baselines3 VecEnv, without and with a policy."""
+    """Collect steps with the `VecEnv` of Stable-Baselines3, without and with a policy."""
     try:
         require_learning()
     except ConfigError as error:
@@ -42,7 +42,7 @@ def measure_stable_baselines() -> Iterator[Row]:
 
 
 def measure_headings(quick: bool) -> Iterator[Row]:
-    """Train the task headings with 256 robots on generated buildings, everything in; and where the time goes."""
+    """Train the task headings with 256 robots on generated buildings; measure the speed, and where the time goes."""
     try:
         require_learning()
     except ConfigError as error:
@@ -75,7 +75,7 @@ def measure_headings(quick: bool) -> Iterator[Row]:
 
 
 def timed(function: Callable[..., Any], seconds: dict[str, float], stage: str) -> Callable[..., Any]:
-    """Return the function, which from now on adds the time that it takes to a stage."""
+    """Return the function, wrapped so that each call adds its time to a stage."""
 
     def run(*arguments: Any, **settings: Any) -> Any:
         begin = time.perf_counter()

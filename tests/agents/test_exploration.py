@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
+from agents.component_config import pack
 from agents.exploration.costmap import Costmap, CostmapConfig
 from agents.exploration.frontiers import Frontiers
 from agents.exploration.planner import PlannerConfig, steer_to
@@ -23,7 +24,6 @@ from agents.exploration.visibility import (
     open_points,
     to_track,
 )
-from agents.settings import pack
 from agents.slam.keyframes import Keyframes
 from agents.slam.se2 import euclidean_distances, wrap_angle
 from tests.agents.buildings import BEAMS, CROSSING, REACH, ROOM, SPACING, keyframes_at, plan_of, seen

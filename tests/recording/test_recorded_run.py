@@ -13,7 +13,7 @@ from cyclic_env import CyclicLoopEnv, RecordingError, UsageError
 from cyclic_env.recording.readers import read_robot_log
 from cyclic_env.recording.recorded_run import RecordedRun
 from cyclic_env.recording.robot_log import RobotLog
-from cyclic_env.task.judgement import judge_trajectory
+from cyclic_env.task.trajectory_truth import judge_trajectory
 from cyclic_env.trajectory.dead_reckoning import dead_reckon
 from tests.helpers import bumping_actions
 

@@ -16,8 +16,8 @@ import shapely
 from cyclic_env.config import ACTION_TYPES, ActionType, ClosureConfig, RobotConfig
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan, map_names
-from cyclic_env.task.judgement import judge_trajectory
 from cyclic_env.task.loop_closure import NEAREST
+from cyclic_env.task.trajectory_truth import judge_trajectory
 from tests.task.buildings import TWIN_FIELDS
 from tests.task.closure_twin import Claim, ClosureTwin, Position, line_of_sight, rank
 

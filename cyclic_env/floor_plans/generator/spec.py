@@ -125,7 +125,7 @@ SPLITS = {
     "hard_validation": Split(64, 5_000_000, HARD_CYCLES, HARD_ALIASING),
     "hard_test": Split(200, 6_000_000, HARD_CYCLES, HARD_ALIASING),
 }
-"""Buildings to train on, to choose settings with, and to report results on; nothing may be tuned on those to report on."""
+"""Buildings to train on, to choose settings with, and to report results on; nothing may be tuned on the last."""
 
 
 def split_spec(split: str, index: int) -> BuildingSpec:

@@ -22,7 +22,7 @@ from cyclic_env.floor_plans.occupancy.grid import (
     check_resolution,
     check_size,
 )
-from cyclic_env.floor_plans.yaml_io import as_list, as_number, as_start, as_text, dump_yaml, name_of, read_yaml
+from cyclic_env.floor_plans.strict_yaml import as_list, as_number, as_start, as_text, dump_yaml, name_of, read_yaml
 from cyclic_env.validation import short_repr, unknown_name
 
 if TYPE_CHECKING:

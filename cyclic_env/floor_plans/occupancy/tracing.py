@@ -20,7 +20,7 @@ from shapely.geometry import Point, Polygon
 from cyclic_env.config import RobotConfig
 from cyclic_env.errors import FloorPlanError
 from cyclic_env.floor_plans.floor_plan import COORDINATE_MAX, FloorPlan, Pose
-from cyclic_env.floor_plans.occupancy.dropped import DroppedPlace, dropped_places
+from cyclic_env.floor_plans.occupancy.dropped_places import DroppedPlace, dropped_places
 from cyclic_env.floor_plans.occupancy.grid import OccupancyGrid
 from cyclic_env.floor_plans.occupancy.morphology import grow_back
 from cyclic_env.floor_plans.occupancy.outline import simplify_outline, trace_outline

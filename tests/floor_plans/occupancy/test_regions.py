@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cyclic_env.floor_plans import OccupancyGrid, trace_floor_plan
-from cyclic_env.floor_plans.occupancy.dropped import CURES, dropped_remark
+from cyclic_env.floor_plans.occupancy.dropped_places import CURES, dropped_remark
 from tests.floor_plans.occupancy.drawing import RESOLUTION, box, floor, grid_of, holds, traced, unknown, walled
 
 

@@ -9,8 +9,8 @@ from cyclic_env.config import ClosureConfig
 from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.errors import UsageError
 from cyclic_env.floor_plans import load_floor_plan
-from cyclic_env.task.judgement import judge_trajectory, true_returns
 from cyclic_env.task.loop_closure import ELSEWHERE, NEAREST, RETURNS, TOO_SOON
+from cyclic_env.task.trajectory_truth import judge_trajectory, true_returns
 
 THERE_AND_BACK = np.array([(0.25 * min(t, 160 - t), 0.0) for t in range(161)])
 """40 m along the x axis, and back."""

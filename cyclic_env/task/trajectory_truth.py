@@ -1,4 +1,4 @@
-"""The truth about whole trajectories and the claims made on them, as `cyclic_env.task.loop_closure` defines it."""
+"""Whole trajectories and the claims made on them, judged as `cyclic_env.task.loop_closure` judges each step."""
 
 from __future__ import annotations
 
