@@ -24,9 +24,9 @@ from cyclic_env.validation import check_choice
 from scripts._arguments import Flag, OptionalInt, OptionalText
 from scripts._cli import command, interruptible, progress_bar
 from scripts.comparison.provenance import provenance
+from scripts.comparison.report import write_report
 from scripts.comparison.runner import Backend, RunOptions, choose_rows, run_jobs, verify
 from scripts.comparison.suite import SUITES, Job, Suite, jobs_of
-from scripts.comparison.summary import write_report
 from scripts.comparison.table import FAILED, RunTable
 from scripts.comparison.trace import trace_path, write_trace
 
@@ -96,7 +96,7 @@ def main(args: Options) -> int:
         if row["status"] == FAILED:
             print("failed: {agent} on {map}, {tier}, seed {seed}: {error}".format(**row))
     if not args.no_report:
-        for path in write_report(table, jobs, suite, args.out):
+        for path in write_report(table, jobs, suite, replayed(jobs), args.out):
             print(path)
     return 0
 

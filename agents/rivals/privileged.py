@@ -18,7 +18,7 @@ from agents.knn.loop_detector import Detection, LoopDetector
 from agents.rivals.route import plan_route, turning_points
 from agents.slam.keyframes import Keyframes
 from agents.slam.scan_matching import Match
-from agents.slam.se2 import compose, relative, wrap_angle
+from agents.slam.se2 import compose, euclidean_distances, relative, wrap_angle
 from agents.slam.tracker import PoseTracker
 from cyclic_env.config import ActionType
 from cyclic_env.evaluation.privileged import PrivilegedView
@@ -128,7 +128,7 @@ class PerfectDetector(LoopDetector):
             return Detection()
         near = int(np.argmin(np.abs(keyframes.step[:-1] - step)))
         between = relative(self._true_poses[near], pose)
-        euclidean_m = math.hypot(*(keyframes.pose[near, :2] - tracker.pose[:2]))
+        euclidean_m = euclidean_distances(keyframes.pose[near : near + 1], tracker.pose)[0]
         if math.hypot(between[0], between[1]) > self.config.at_keyframe:
             return Detection()
         if keyframes.is_direct(geodesic_m[near], euclidean_m):

@@ -52,12 +52,12 @@ class Lattice:
             columns.append(there[both])
             lengths.append(np.full(int(both.sum()), spacing * math.hypot(down, right)))
         pairs = (np.concatenate(rows), np.concatenate(columns))
-        self._graph = coo_array((np.concatenate(lengths), pairs), shape=(len(self.points),) * 2).tocsr()
+        self._graph = coo_array((np.concatenate(lengths), pairs), shape=(len(self.points), len(self.points))).tocsr()
         self._tree = KDTree(self.points)
 
     def nearest(self, points: np.ndarray) -> np.ndarray:
         """Return the numbers `(n,)` of the lattice's points nearest to `points` `(n, 2)`."""
-        return self._tree.query(points)[1]
+        return np.asarray(self._tree.query(points)[1])
 
     def ways_from(self, sources: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the length `(m,)` of the shortest way from any of the sources to each point, and the one before it."""

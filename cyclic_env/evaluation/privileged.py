@@ -129,6 +129,17 @@ class Survey:
         """Share of the free cells that have been seen."""
         return float(self._grid.seen[0].mean())
 
+    @property
+    def cells(self) -> np.ndarray:
+        """Where the free cells are, `(num_cells,)` flat indices into rows, south first, of `extent`."""
+        return np.flatnonzero(self._grid.number >= 0)
+
+    @property
+    def extent(self) -> tuple[float, float, int, int]:
+        """West and south of the cells, metres, and how many columns and rows there are."""
+        grid = self._grid.grids[0]
+        return float(grid["west"]), float(grid["south"]), int(grid["columns"]), int(grid["rows"])
+
     def unseen(self) -> np.ndarray:
         """Return the centres `(n, 2)` of the cells that have not been seen, metres."""
         grid, size = self._grid.grids[0], self._grid.cell_size

@@ -9,7 +9,6 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
-import pandas as pd
 
 mpl.use("Agg")
 
@@ -20,6 +19,7 @@ from cyclic_env.config import TIERS
 from cyclic_env.evaluation.statistics import performance_profile, wilson_interval
 from cyclic_env.floor_plans.generator.names import building_spec
 from scripts.comparison.measures import CURVE_TOURS
+from scripts.comparison.table import Runs
 
 RETURNS = np.linspace(-20, 100, 121)
 ALIASING_BINS = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
@@ -27,7 +27,7 @@ STYLES = ("-", "--", "-.", ":")
 plt.rcParams.update({"font.size": 9, "axes.spines.top": False, "axes.spines.right": False, "svg.fonttype": "none"})
 
 
-def draw_figures(frame: pd.DataFrame, agents: Sequence[str], folder: Path) -> list[str]:
+def draw_figures(frame: Runs, agents: Sequence[str], folder: Path) -> list[str]:
     """Draw all figures into ``figures`` in a folder, as SVG, and return their names."""
     shown = [agent for agent in agents if (frame["agent"] == agent).any()]
     drawn = {"profiles": draw_profiles(frame, shown), "coverage": draw_coverage(frame, shown)}
@@ -41,7 +41,7 @@ def draw_figures(frame: pd.DataFrame, agents: Sequence[str], folder: Path) -> li
     return list(drawn)
 
 
-def _panels(frame: pd.DataFrame, height: float = 3.0) -> tuple[Any, list[tuple[str, Any]]]:
+def _panels(frame: Runs, height: float = 3.0) -> tuple[Any, list[tuple[str, Any]]]:
     tiers = [tier for tier in TIERS if (frame["tier"] == tier).any()]
     figure, axes = plt.subplots(1, len(tiers), figsize=(3.4 * len(tiers) + 1, height), sharey=True, squeeze=False)
     return figure, list(zip(tiers, axes[0], strict=True))
@@ -52,7 +52,7 @@ def _style(index: int) -> dict[str, Any]:
     return {"color": f"C{index % 10}", "linestyle": STYLES[index % len(STYLES)], "linewidth": 1.6}
 
 
-def draw_profiles(frame: pd.DataFrame, agents: Sequence[str]) -> Any:
+def draw_profiles(frame: Runs, agents: Sequence[str]) -> Any:
     """Draw which share of an agent's runs reaches which return, in each tier."""
     figure, panels = _panels(frame)
     for tier, axes in panels:
@@ -68,7 +68,7 @@ def draw_profiles(frame: pd.DataFrame, agents: Sequence[str]) -> Any:
     return figure
 
 
-def draw_coverage(frame: pd.DataFrame, agents: Sequence[str]) -> Any:
+def draw_coverage(frame: Runs, agents: Sequence[str]) -> Any:
     """Draw the mean coverage over the path driven, in closed tours, in each tier."""
     figure, panels = _panels(frame)
     for tier, axes in panels:
@@ -84,14 +84,14 @@ def draw_coverage(frame: pd.DataFrame, agents: Sequence[str]) -> Any:
     return figure
 
 
-def with_aliasing(frame: pd.DataFrame) -> pd.DataFrame:
+def with_aliasing(frame: Runs) -> Runs:
     """Return the runs with the aliasing of the generated buildings that they are in, NaN elsewhere."""
     specs = {name: building_spec(name) for name in frame["map"].unique()}
     known = {name: np.nan if spec is None else spec.aliasing for name, spec in specs.items()}
     return frame.assign(aliasing=frame["map"].map(known).astype(float))
 
 
-def difficulty(frame: pd.DataFrame, agent: str) -> dict[tuple[str, int], tuple[float, float, float, int]]:
+def difficulty(frame: Runs, agent: str) -> dict[tuple[str, int], tuple[float, float, float, int]]:
     """Return the success of an agent, with its 95 % interval and the number of runs, by tier and bin of aliasing."""
     runs = with_aliasing(frame[frame["agent"] == agent]).dropna(subset="aliasing")
     bins = np.clip(np.searchsorted(ALIASING_BINS, runs["aliasing"], side="right") - 1, 0, len(ALIASING_BINS) - 2)
@@ -102,7 +102,7 @@ def difficulty(frame: pd.DataFrame, agent: str) -> dict[tuple[str, int], tuple[f
     return cells
 
 
-def draw_difficulty(frame: pd.DataFrame, agents: Sequence[str]) -> Any:
+def draw_difficulty(frame: Runs, agents: Sequence[str]) -> Any:
     """Draw the success of each agent over aliasing and noise, on generated buildings: where each breaks."""
     tiers = [tier for tier in TIERS if (frame["tier"] == tier).any()]
     columns = min(3, len(agents))
@@ -112,7 +112,6 @@ def draw_difficulty(frame: pd.DataFrame, agents: Sequence[str]) -> Any:
     labels = [f"{low:g}-{high:g}" for low, high in pairwise(ALIASING_BINS)]
     for panel in axes.flat[len(agents) :]:
         panel.set_axis_off()
-    image = None
     for agent, panel in zip(agents, axes.flat, strict=False):
         cells, values = difficulty(frame, agent), np.full((len(tiers), len(labels)), np.nan)
         for (tier, index), (share, low, high, count) in cells.items():
@@ -120,11 +119,11 @@ def draw_difficulty(frame: pd.DataFrame, agents: Sequence[str]) -> Any:
             text = f"{share:.2f}\n[{low:.2f}, {high:.2f}]\nn={count}"
             color = "white" if share < 0.5 else "black"
             panel.text(index, tiers.index(tier), text, ha="center", va="center", fontsize=5.5, color=color)
-        image = panel.imshow(values, vmin=0, vmax=1, cmap="viridis", aspect="auto")
+        panel.imshow(values, vmin=0, vmax=1, cmap="viridis", aspect="auto")
         panel.set(title=agent, xticks=range(len(labels)), yticks=range(len(tiers)))
         panel.set_xticklabels(labels, fontsize=7)
         panel.set_yticklabels(tiers, fontsize=7)
         panel.spines[:].set_visible(False)
     figure.supxlabel("aliasing of the building", fontsize=9)
-    figure.colorbar(image, ax=axes, label="success", shrink=0.8)
+    figure.colorbar(axes[0, 0].images[0], ax=axes, label="success", shrink=0.8)
     return figure

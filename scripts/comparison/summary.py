@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from pathlib import Path
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
-from cyclic_env.atomic_write import write_text_atomically
-from cyclic_env.config import TIERS
 from cyclic_env.evaluation.statistics import (
     interquartile_mean,
     paired_difference,
@@ -19,8 +16,8 @@ from cyclic_env.evaluation.statistics import (
     stratified_interval,
     wilson_interval,
 )
-from scripts.comparison.suite import REFERENCE, Job, Suite
-from scripts.comparison.table import FAILED, RunTable
+from scripts.comparison.suite import REFERENCE, Suite
+from scripts.comparison.table import Runs
 
 MEAN_COLUMNS = {
     "false claims": ("false_claims", 2),
@@ -41,7 +38,7 @@ MEAN_COLUMNS = {
 """Columns of means, with the digits behind the point; NaNs, as of a coverage that was not reached, are left out."""
 
 
-def rank(frame: pd.DataFrame, agents: Sequence[str]) -> pd.DataFrame:
+def rank(frame: Runs, agents: Sequence[str]) -> Runs:
     """Return a row for each agent that has runs, the best first; privileged ones last and without a rank.
 
     Ranked is by success, then by the interquartile mean of the return.
@@ -63,7 +60,7 @@ def rank(frame: pd.DataFrame, agents: Sequence[str]) -> pd.DataFrame:
     return table[["rank", "agent", *(name for name in table.columns if name not in ("rank", "agent"))]]
 
 
-def _summary(runs: pd.DataFrame) -> dict[str, Any]:
+def _summary(runs: Runs) -> dict[str, Any]:
     returns, strata = runs["return"].to_numpy(float), runs["map"].to_numpy()
     share = (runs["cycles_closed"] / runs["cycles_total"].replace(0, 1)).where(runs["cycles_total"] > 0, 1.0)
     success = runs["is_success"].to_numpy(bool)
@@ -84,7 +81,7 @@ def _summary(runs: pd.DataFrame) -> dict[str, Any]:
     }
 
 
-def differences(frame: pd.DataFrame, agents: Sequence[str], reference: str = REFERENCE) -> pd.DataFrame:
+def differences(frame: Runs, agents: Sequence[str], reference: str = REFERENCE) -> Runs:
     """Return how each agent compares with the reference, over pairs of runs with the same map, seed and start.
 
     Differences are averaged over the runs on a map first, since these are not independent; the interval is over maps.
@@ -120,52 +117,29 @@ def _interval(value: float, interval: tuple[float, float], digits: int) -> str:
     return f"{value:.{digits}f}" if math.isnan(low) else f"{value:.{digits}f} [{low:.{digits}f}, {high:.{digits}f}]"
 
 
-def write_report(table: RunTable, jobs: Sequence[Job], suite: Suite, folder: Path) -> list[Path]:
-    """Write the report of the runs that have ended, and return its files.
+def report_text(summary: str, frame: Runs, suite: Suite, figures: Sequence[str]) -> str:
+    """Return the report in Markdown.
 
     Parameters
     ----------
-    table : RunTable
-    jobs : sequence of Job
+    summary : str
+        One sentence about the runs.
+    frame : DataFrame
+        The runs, as `RunTable.frame` returns them.
     suite : Suite
-    folder : Path
+    figures : sequence of str
+        Names of the figures.
     """
-    from scripts.comparison.figures import draw_figures  # matplotlib is slow to import
-
-    frame = table.frame(jobs)
-    if frame.empty:
-        return []
-    figures = draw_figures(frame, suite.agents, folder)
-    markdown = report_text(table, jobs, frame, suite, lambda name: f"![{name}](figures/{name}.svg)", figures)
-    return [write_text_atomically(folder / "report.md", markdown)]
-
-
-def report_text(
-    table: RunTable,
-    jobs: Sequence[Job],
-    frame: pd.DataFrame,
-    suite: Suite,
-    figure: Callable[[str], str],
-    figures: Sequence[str],
-) -> str:
-    """Return the report in Markdown; `figure` returns the text that shows the figure of a name."""
-    missing = sum(job not in table for job in jobs)
-    failed = sum(job in table and table.rows[job.key]["status"] == FAILED for job in jobs)
-    parts = [
-        "# Agents compared",
-        f"{len(frame)} runs of {len(suite.agents)} agents on {frame['map'].nunique()} floor plans, with the same "
-        f"starts and the same noise for all; {missing} are yet to be run, {failed} failed.",
-    ]
+    parts = ["# Agents compared", summary]
     for tier in suite.tiers:
         runs = frame[frame["tier"] == tier]
         if runs.empty:
             continue
-        ranked = "" if TIERS[tier].ranked else " (not ranked elsewhere: dead reckoning alone recognizes every place)"
-        parts += [f"## Tier `{tier}`{ranked}", rank(runs, suite.agents).to_markdown(index=False, disable_numparse=True)]
+        parts += [f"## Tier `{tier}`", rank(runs, suite.agents).to_markdown(index=False, disable_numparse=True)]
         against = differences(runs, suite.agents)
         if not against.empty:
             parts += [against.to_markdown(index=False, disable_numparse=True)]
-    parts += ["## Figures", *(figure(name) for name in figures), NOTES]
+    parts += ["## Figures", *(f"![{name}](figures/{name}.svg)" for name in figures), NOTES]
     return "\n\n".join(parts) + "\n"
 
 

@@ -23,6 +23,8 @@ TEXT = (*(name for name in KEY if name != "seed"), "status", "error", "coverage_
 DONE, FAILED = "done", "failed"
 
 Row = dict[str, Any]
+Runs = Any
+"""A DataFrame; its type is not said, since pandas' own types don't know what kind of values a column has."""
 
 
 class RunTable:
@@ -100,13 +102,11 @@ class RunTable:
         """Tell whether the row of a run was made by other code, or on another plan."""
         return any(self.rows[job.key][name] != current[name] for name in DIGESTS)
 
-    def frame(self, jobs: Sequence[Job] | None = None) -> pd.DataFrame:
+    def frame(self, jobs: Sequence[Job] | None = None) -> Runs:
         """Return the rows, by default all, with numbers for what are numbers; those of runs that are done."""
         rows = self.rows.values() if jobs is None else [self.rows[job.key] for job in jobs if job in self]
         done = [row for row in rows if row["status"] == DONE]
-        text = ",".join(COLUMNS) + "\n" + "".join(_line(row) for row in done)
-        kinds: Any = dict.fromkeys(TEXT, str)
-        return pd.read_csv(io.StringIO(text), dtype=kinds, keep_default_na=True, float_precision="round_trip")
+        return pd.DataFrame([{name: _from_text(name, row[name]) for name in COLUMNS} for row in done])
 
 
 def _line(row: Mapping[str, str]) -> str:
@@ -120,3 +120,11 @@ def _as_text(value: Any) -> str:
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     return repr(float(value)) if isinstance(value, float) else " ".join(str(value).split())
+
+
+def _from_text(name: str, text: str) -> Any:
+    if name in TEXT:
+        return text
+    if text in ("True", "False"):
+        return text == "True"
+    return float(text) if text else math.nan

@@ -14,7 +14,7 @@ import pytest
 
 from agents import make_agent
 from cyclic_env.config import TIERS
-from scripts.comparison.episode import EpisodeLog
+from scripts.comparison.episode import EpisodeLog, run_episode
 from scripts.comparison.measures import TIMES, coverage_curve, path_to
 from scripts.comparison.runner import run_job
 from scripts.comparison.suite import SUITES, Job, jobs_of
@@ -109,7 +109,6 @@ def test_the_same_seed_is_the_same_start_and_noise_for_all_agents() -> None:
         Job(tier="calibrated", map="ring", seed=3, start="random", agent=name)
         for name in ("circling", "standing_still")
     ]
-    from scripts.comparison.episode import run_episode
 
     for job, log in zip(jobs, logs, strict=True):
         run_episode(job, log, 60)
@@ -239,7 +238,7 @@ def test_winding_numbers_and_packed_poses() -> None:
 # Statistics
 
 
-def made_up(**agents: list[float]) -> pd.DataFrame:
+def made_up(**agents: list[float]) -> Any:
     """Return runs with these returns, two on each map."""
     rows = [
         {
