@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import networkx as nx
 import numpy as np
@@ -10,7 +11,7 @@ import shapely
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import KDTree
-from shapely.geometry import LineString, Polygon
+from shapely.geometry import LineString, Point, Polygon
 
 from agents.slam.se2 import wrap_angle
 from cyclic_env.errors import ConfigError
@@ -87,7 +88,7 @@ def plan_route(view: PrivilegedView, row: int) -> np.ndarray:
     if not len(tour):
         raise ConfigError(f"plan {plan.name!r} has no connected centrelines, which the oracle's tour needs.")
     home = plan.reachable(robot.radius)
-    area = _part_with(home.buffer(-AIR), shapely.Point(tour[0]))
+    area = _part_with(home.buffer(-AIR), Point(tour[0]))
     tour = _into(area, resample(tour, SPACING))
     lattice = Lattice(area)
     start = view.pose(row)[:2]
@@ -165,14 +166,14 @@ def _assemble(route: np.ndarray, joints: np.ndarray, detours: list[list[int]], l
     return np.concatenate([*pieces, route[last:]])
 
 
-def _part_with(area: shapely.Geometry, point: shapely.Point) -> Polygon:
+def _part_with(area: shapely.Geometry, point: Point) -> Polygon:
     """Return the part of an area that is nearest to a point."""
     return min(shapely.get_parts(area), key=point.distance)
 
 
 def _into(area: Polygon, points: np.ndarray) -> np.ndarray:
     """Return the points `(n, 2)`, those outside the area moved to its nearest edge."""
-    spots = shapely.points(points)
+    spots: Any = shapely.points(points)
     outside = ~shapely.contains(area, spots)
     moved = points.copy()
     moved[outside] = shapely.get_coordinates(shapely.get_point(shapely.shortest_line(area, spots[outside]), 0))

@@ -34,11 +34,15 @@ class EpisodeLog:
     beliefs : list of (3,) arrays or None
         Where the agent believed to be, from where it started.
     matches : list of int
-        The step that the claim before each record named, if there was a claim.
+        The step that the last claim before each record named; -1 without one.
     decision_s : list of float
         How long each decision took.
     final : dict
         The record of the episode, as `cyclic_env.evaluation.rollout.rollout` yields it.
+    last_action : array
+        Of the last step, `(1, ...)`.
+    tour_m : float
+        The closed tour of the plan, metres.
     """
 
     infos: list[Any] = field(default_factory=list)
@@ -46,7 +50,14 @@ class EpisodeLog:
     matches: list[int] = field(default_factory=list)
     decision_s: list[float] = field(default_factory=list)
     final: dict[str, Any] = field(default_factory=dict)
+    last_action: Any = None
     tour_m: float = 0.0
+
+    def all_infos(self) -> np.ndarray:
+        """Return the infos after the reset and after every step, `(t + 1,)` records, of an episode that has ended."""
+        infos = np.array(self.infos)
+        last = np.array([tuple(self.final[name] for name in infos.dtype.names or ())], infos.dtype)
+        return np.concatenate([infos, last])
 
 
 class WatchedPolicy:
@@ -85,6 +96,7 @@ class WatchedPolicy:
         agent = answer[1][0] if isinstance(answer, tuple) and isinstance(answer[-1], list | tuple) else None
         belief = getattr(agent, "belief", None)
         self._log.beliefs.append(None if belief is None else np.array(belief, np.float64))
+        self._log.last_action = answer[0] if isinstance(answer, tuple) else None
         return answer
 
 

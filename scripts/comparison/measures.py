@@ -36,15 +36,13 @@ def measures_of(log: EpisodeLog) -> dict[str, Any]:
     coverage over the first two tours of path, ``t90_m`` and ``t99_m`` the path to a coverage of 90 and 99 %.
     """
     final = log.final
-    infos = np.array(log.infos)
-    path = np.append(infos["path_length_m"], final["path_length_m"])
-    coverage = np.append(infos["coverage"], final["coverage"])
+    infos = log.all_infos()
+    path, coverage = infos["path_length_m"], infos["coverage"]
     curve = coverage_curve(path, coverage, log.tour_m)
     length, tour = final["path_length_m"], log.tour_m
     closed = final["cycles_closed"] / final["cycles_total"] if final["cycles_total"] else 1.0
     found = final["precision"] + final["recall"]
-    correct = np.append(infos["claim_correct"], final["claim_correct"]).astype(bool)
-    errors = np.append(infos["claim_error_m"], final["claim_error_m"])[correct]
+    errors = infos["claim_error_m"][infos["claim_correct"]]
     decisions = np.array(log.decision_s[10:])
     return {
         **{name: final[name] for name in COPIED},

@@ -34,12 +34,12 @@ def trace_of(job: Job, log: EpisodeLog) -> Trace:
     row; 65535 for never), and ``claims``: the frame, the frame that was named, whether it was correct, whether it
     closed a cycle, both steps, the error in metres, and the winding numbers of its loop about the cycles.
     """
-    plan, infos = load_floor_plan(job.map), np.array(log.infos)
+    plan, infos = load_floor_plan(job.map), log.all_infos()
     steps = np.unique(np.append(np.arange(0, len(infos), EVERY), len(infos) - 1))
     poses = np.column_stack([infos["x"], infos["y"], infos["heading"]])
     has_beliefs = all(belief is not None for belief in log.beliefs)
     start = np.array([*poses[0, :2], 0.0])
-    beliefs = np.array(log.beliefs) + start if has_beliefs else None
+    beliefs = np.array([*log.beliefs, log.beliefs[-1]]) + start if has_beliefs else None
     return {
         "agent": job.agent,
         "map": job.map,
@@ -79,17 +79,24 @@ def first_seen(plan: FloorPlan, tier: str, poses: np.ndarray, path: np.ndarray, 
 
 def claims_of(plan: FloorPlan, log: EpisodeLog) -> list[list[Any]]:
     """Return the judged claims of an episode, as `trace_of` describes them."""
-    infos = np.array(log.infos)
+    infos = log.all_infos()
     positions = np.column_stack([infos["x"], infos["y"]])
+    matches = [*log.matches, _last_match(log)]
     found = []
     for step in np.flatnonzero(infos["claim_judged"]).tolist():
-        match = log.matches[step]
+        match = max(matches[step], 0)
         loop = positions[match : step + 1]
         windings = [winding_number(loop, anchor) for anchor in plan.cycle_anchors] if len(loop) > 2 else []
         correct, new = bool(infos["claim_correct"][step]), bool(infos["new_cycle"][step])
         error = round(float(infos["claim_error_m"][step]), 2)
         found.append([step // EVERY, match // EVERY, correct, new, step, match, error, windings if correct else []])
     return found
+
+
+def _last_match(log: EpisodeLog) -> int:
+    """Return the step that a claim of the last action names; 0 for a discrete one, which names none."""
+    *_, match = np.ravel(log.last_action).tolist()
+    return round((match + 1) / 2 * len(log.infos)) if np.size(log.last_action) == 4 else 0
 
 
 def winding_number(loop: np.ndarray, point: np.ndarray) -> int:
