@@ -1,4 +1,4 @@
-"""Agents that need no training, by name: the baselines, which follow fixed rules, the explorer, and its rivals."""
+"""Agents that need no training, by name: baselines, which follow fixed rules, the explorer, its rivals, the watcher."""
 
 from __future__ import annotations
 
@@ -24,8 +24,12 @@ from agents.scripted import (
     ToAndFroAgent,
     WallFollowingAgent,
 )
+from agents.watcher import WatcherPolicy
 from cyclic_env.config import ActionType, EnvConfig
 from cyclic_env.validation import check_choice
+
+WATCHER = "watcher"
+"""Name of the agent that only watches, for robots that something else drives."""
 
 CLAIMS = "+claims"
 """Suffix of the names of agents that claim in every step to be back at the start."""
@@ -72,7 +76,7 @@ def baseline_names() -> tuple[str, ...]:
 
 def agent_names() -> tuple[str, ...]:
     """Return the names that `make_agent` knows."""
-    return (*_EXPLORERS, *_FRONTIERS, "circling_right", *_PRIVILEGED, *_BASELINES)
+    return (*_EXPLORERS, *_FRONTIERS, "circling_right", WATCHER, *_PRIVILEGED, *_BASELINES)
 
 
 def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = None, seed: int = 0) -> BatchPolicy:
@@ -103,6 +107,8 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
         return _BASELINES[name](action_type=actions, seed=seed, laser=settings.laser)
     if name == "circling_right":
         return ScriptedPolicy(_CIRCLING_RIGHT, action_type=actions, laser=settings.laser)
+    if name == WATCHER:
+        return WatcherPolicy(settings.laser, action_type=actions)
     if name in _FRONTIERS:
         return FrontierPolicy(_FRONTIERS[name], settings.laser, settings.robot, action_type=actions)
     if name == "oracle":

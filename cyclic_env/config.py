@@ -123,13 +123,15 @@ class ClosureConfig:
     claim_spacing: float = 2.0
     """Path length after a judged claim before the next one is judged, m."""
     sight_given: float = 0.0
-    """Distance below which two positions are always in sight of each other, m. Trajectories of real robots need it,
-    since they don't fit a floor plan exactly."""
+    """Distance below which two positions are always in sight of each other, m."""
+    wall_tolerance: float = 0.0
+    """How deep a line of sight may run into the walls, m. Trajectories of real robots need it, since they don't fit a
+    floor plan exactly; walls of less than twice this thickness then block no sight."""
 
     def __post_init__(self) -> None:
         check_number(self, "return_radius", 0.1)
         check_number(self, "gap", 0.0, open_low=True)
-        for field in ("event_gap", "event_length_min", "claim_spacing", "sight_given"):
+        for field in ("event_gap", "event_length_min", "claim_spacing", "sight_given", "wall_tolerance"):
             check_number(self, field, 0.0)
         check_number(self, "leave_radius", self.return_radius, open_low=True)
 

@@ -65,7 +65,7 @@ SUITES = {
         seeds=2,
     ),
     "report": Suite(
-        agents=tuple(name for name in agent_names() if not name.endswith("+claims")),
+        agents=tuple(name for name in agent_names() if not name.endswith("+claims") and name != "watcher"),
         maps=(*ALL_PLANS, "twin_rings", *_first("test", 32), *_first("hard_test", 32)),
         tiers=("calibrated", "typical", "hard"),
         seeds=3,
