@@ -4,11 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-from agents.base import BatchPolicy
 from agents.knn.config import preset
 from agents.knn.policy import KnnPolicy
+from agents.rl import require_learning
+from agents.rl.headings.agent import HeadingsAgent, RandomHeadingsAgent
+from agents.rl.headings.memory import Rules
+from agents.rl.headings.rules import HandRule
 from agents.scripted import (
     BEYOND_WALL,
     CLEAR_OF_WALL,
@@ -23,6 +27,7 @@ from agents.scripted import (
     WallFollowingAgent,
 )
 from cyclic_env.config import ActionType, EnvConfig
+from cyclic_env.evaluation.rollout import Policy
 from cyclic_env.validation import check_choice
 
 CLAIMS = "+claims"
@@ -49,6 +54,10 @@ _EXPLORERS = {
     "knn_paper_appearance": preset("paper", detector="knn"),
     "knn_paper_position": preset("paper", detector="position"),
 }
+PRETRAINED = Path(__file__).with_name("pretrained")
+"""Folder of the shipped models, each the folder of a training run."""
+_LEARNED = ("ppo_headings", "ppo_headings_1", "ppo_headings_2")
+_HEADINGS = (*_LEARNED, "headings_rule", "headings_random")
 
 
 def baseline_names() -> tuple[str, ...]:
@@ -58,10 +67,15 @@ def baseline_names() -> tuple[str, ...]:
 
 def agent_names() -> tuple[str, ...]:
     """Return the names that `make_agent` knows."""
-    return (*_EXPLORERS, *_BASELINES)
+    return (*_EXPLORERS, *_HEADINGS, *_BASELINES)
 
 
-def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = None, seed: int = 0) -> BatchPolicy:
+def usual_action_type(name: str) -> ActionType:
+    """Return the action type by which an agent is usually run: by twist if its task is headings, else by wheels."""
+    return "twist" if name in _HEADINGS else "wheels"
+
+
+def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = None, seed: int = 0) -> Policy:
     """Return the agent of that name.
 
     Parameters
@@ -85,4 +99,17 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
     actions = action_type or settings.action_type
     if name in _BASELINES:
         return _BASELINES[name](action_type=actions, seed=seed)
+    if name in _HEADINGS:
+        rules = Rules(laser=settings.laser, robot=settings.robot, closure=settings.closure)
+        if name == "headings_random":
+            return RandomHeadingsAgent(rules, action_type=actions, seed=seed)
+        model = HandRule() if name == "headings_rule" else _shipped_model(name)
+        return HeadingsAgent(model, rules, action_type=actions)
     return KnnPolicy(_EXPLORERS[name].fitted(settings.laser, settings.robot), action_type=actions)
+
+
+def _shipped_model(name: str) -> Any:
+    require_learning()
+    from agents.rl.storage import load_trained
+
+    return load_trained(PRETRAINED / name).model
