@@ -1,4 +1,4 @@
-"""Agents that need no training, by name: the baselines, which follow fixed rules, and the explorer."""
+"""Agents by name: the explorer, those of the task headings with the shipped models, and the baselines."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ _EXPLORERS = {
 }
 PRETRAINED = Path(__file__).with_name("pretrained")
 """Folder of the shipped models, each the folder of a training run."""
-_LEARNED = ("ppo_headings", "ppo_headings_1", "ppo_headings_2")
+_LEARNED = ("ppo_headings",)
 _HEADINGS = (*_LEARNED, "headings_rule", "headings_random")
 
 
