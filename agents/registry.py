@@ -1,4 +1,4 @@
-"""Agents by name: the explorer, those of the task headings with the shipped models, and the baselines."""
+"""Agents by name: the explorer, its rivals, the watcher, those of the task headings, and baselines of fixed rules."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any
 
 from agents.knn.config import preset
 from agents.knn.policy import KnnPolicy
+from agents.rivals.frontier import FrontierAgentConfig, FrontierPolicy
+from agents.rivals.privileged import OraclePolicy, PerfectDetectorPolicy
 from agents.rl import require_learning
 from agents.rl.headings.agent import HeadingsAgent, RandomHeadingsAgent
 from agents.rl.headings.memory import Rules
@@ -26,9 +28,13 @@ from agents.scripted import (
     ToAndFroAgent,
     WallFollowingAgent,
 )
+from agents.watcher import WatcherPolicy
 from cyclic_env.config import ActionType, EnvConfig
 from cyclic_env.evaluation.rollout import Policy
 from cyclic_env.validation import check_choice
+
+WATCHER = "watcher"
+"""Name of the agent that only watches, for robots that something else drives."""
 
 CLAIMS = "+claims"
 """Suffix of the names of agents that claim in every step to be back at the start."""
@@ -58,6 +64,18 @@ PRETRAINED = Path(__file__).with_name("pretrained")
 """Folder of the shipped models, each the folder of a training run."""
 _LEARNED = ("ppo_headings",)
 _HEADINGS = (*_LEARNED, "headings_rule", "headings_random")
+_FRONTIERS = {
+    "frontier": FrontierAgentConfig(),
+    "frontier_lite": FrontierAgentConfig(order="explore_lite"),
+    "frontier_loops": FrontierAgentConfig(closes_loops=True),
+}
+_CIRCLING_RIGHT = partial(WallFollowingAgent, side=RIGHT, wall_distance=CLEAR_OF_WALL)
+_PRIVILEGED = ("oracle", "perfect_detector")
+
+
+def privileged_names() -> tuple[str, ...]:
+    """Return the names of the agents that see the truth about their environment: bounds, never to be ranked."""
+    return _PRIVILEGED
 
 
 def baseline_names() -> tuple[str, ...]:
@@ -67,7 +85,7 @@ def baseline_names() -> tuple[str, ...]:
 
 def agent_names() -> tuple[str, ...]:
     """Return the names that `make_agent` knows."""
-    return (*_EXPLORERS, *_HEADINGS, *_BASELINES)
+    return (*_EXPLORERS, *_FRONTIERS, *_HEADINGS, "circling_right", WATCHER, *_PRIVILEGED, *_BASELINES)
 
 
 def usual_action_type(name: str) -> ActionType:
@@ -84,6 +102,7 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
         One of `agent_names`.
     env : CyclicLoopEnv or CyclicLoopVectorEnv, optional
         The environment to drive in, perhaps wrapped; the agent takes its laser, robot and action type from there.
+        A privileged agent needs it, and drives in no other.
     action_type : {"wheels", "twist", "discrete"}, optional
         By default the environment's, or ``"wheels"`` without one.
     seed : int
@@ -92,13 +111,26 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
     Raises
     ------
     ConfigError
-        If there is no such agent; the message lists all names and suggests the nearest.
+        If there is no such agent (the message lists all names and suggests the nearest), or a privileged one has no
+        environment.
     """
     check_choice("agent", name, agent_names())
     settings = EnvConfig() if env is None else env.unwrapped.config
     actions = action_type or settings.action_type
     if name in _BASELINES:
-        return _BASELINES[name](action_type=actions, seed=seed)
+        return _BASELINES[name](action_type=actions, seed=seed, laser=settings.laser)
+    if name == "circling_right":
+        return ScriptedPolicy(_CIRCLING_RIGHT, action_type=actions, laser=settings.laser)
+    if name == WATCHER:
+        return WatcherPolicy(settings.laser, action_type=actions)
+    if name in _FRONTIERS:
+        return FrontierPolicy(_FRONTIERS[name], settings.laser, settings.robot, action_type=actions)
+    if name == "oracle":
+        return OraclePolicy(env, action_type=actions)
+    if name == "perfect_detector":
+        return PerfectDetectorPolicy(
+            preset("extended").fitted(settings.laser, settings.robot), env, action_type=actions
+        )
     if name in _HEADINGS:
         rules = Rules(laser=settings.laser, robot=settings.robot, closure=settings.closure)
         if name == "headings_random":

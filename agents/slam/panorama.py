@@ -48,7 +48,7 @@ def panorama_beams(laser: LaserConfig) -> tuple[np.ndarray, int]:
     """Return which beam of a panorama each beam of a laser is `(num_beams,)`, and how many beams the panorama has."""
     spacing = laser.beam_spacing
     count = round(math.tau / spacing)
-    beams = np.rint(laser.first_bearing / spacing + np.arange(laser.num_beams)).astype(np.int64) % count
+    beams = np.floor(laser.first_bearing / spacing + np.arange(laser.num_beams) + 0.5).astype(np.int64) % count
     return beams, count
 
 
