@@ -67,8 +67,6 @@ def plan_figure(
     title, scores : str
         Two lines above the building.
     bounds : (west, south, east, north), optional
-        What is shown, metres; by default the building.
-    bounds : (west, south, east, north), optional
         The part to show, by default everything.
     """
     west, south, east, north = bounds or plan.bounds
