@@ -65,12 +65,7 @@ def draw_profiles(frame: Runs, agents: Sequence[str]) -> Any:
         for index, agent in enumerate(agents):
             runs = frame[(frame["tier"] == tier) & (frame["agent"] == agent)]
             if len(runs):
-                axes.plot(
-                    RETURNS,
-                    performance_profile(runs["return"].to_numpy(), RETURNS),
-                    label=_label(agent),
-                    **_style(index),
-                )
+                axes.plot(RETURNS, performance_profile(runs["return"].to_numpy(), RETURNS), **_style(index, agent))
         axes.set(title=tier, xlabel="return of at least", ylim=(-0.02, 1.02), xlim=(RETURNS[0], RETURNS[-1]))
     panels[0][1].set_ylabel("share of runs")
     panels[-1][1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
