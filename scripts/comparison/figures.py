@@ -14,7 +14,7 @@ mpl.use("Agg")
 
 from matplotlib import pyplot as plt
 
-from agents import privileged_names
+from agents import agent_label
 from cyclic_env.atomic_write import atomic_write
 from cyclic_env.evaluation.statistics import performance_profile, wilson_interval
 from cyclic_env.floor_plans.generator.names import building_spec
@@ -48,14 +48,10 @@ def _panels(frame: Runs, height: float = 3.0) -> tuple[Any, list[tuple[str, Any]
     return figure, list(zip(tiers, axes[0], strict=True))
 
 
-def _label(agent: str) -> str:
-    return f"{agent} (privileged)" if agent in privileged_names() else agent
-
-
 def _style(index: int, agent: str) -> dict[str, Any]:
     """Return a label, a colour and a dash, so that no agent is told by its colour alone."""
     dash = STYLES[index % len(STYLES)]
-    return {"label": _label(agent), "color": f"C{index % 10}", "linestyle": dash, "linewidth": 1.6}
+    return {"label": agent_label(agent), "color": f"C{index % 10}", "linestyle": dash, "linewidth": 1.6}
 
 
 def draw_profiles(frame: Runs, agents: Sequence[str]) -> Any:
@@ -124,7 +120,7 @@ def draw_difficulty(frame: Runs, agents: Sequence[str]) -> Any:
             color = "white" if share < 0.5 else "black"
             panel.text(index, tiers.index(tier), text, ha="center", va="center", fontsize=6.5, color=color)
         panel.imshow(values, vmin=0, vmax=1, cmap="viridis", aspect="auto")
-        panel.set(title=_label(agent), xticks=range(len(labels)), yticks=range(len(tiers)))
+        panel.set(title=agent_label(agent), xticks=range(len(labels)), yticks=range(len(tiers)))
         panel.set_xticklabels(labels, fontsize=7)
         panel.set_yticklabels(tiers, fontsize=7)
         panel.spines[:].set_visible(False)
