@@ -1,8 +1,8 @@
 """What a scan sees: how far the robot can drive, which points are in sight, and where unseen space begins.
 
-A scan is `(beams,)` ranges in metres, beam 0 straight ahead, counter-clockwise, evenly spaced. The polygon that its
-endpoints span is free and seen. Poses are (x, y, heading) in the frame of the track; angles are radians, and numbers of
-beams may be fractions. The kernels do not validate.
+A scan is `(beams,)` ranges in metres, beam 0 straight ahead, counter-clockwise, evenly spaced; 0 where nobody looked.
+The polygon that its endpoints span is free and seen. Poses are (x, y, heading) in the frame of the track; angles are
+radians, and numbers of beams may be fractions. The kernels do not validate.
 """
 
 from __future__ import annotations
@@ -67,6 +67,8 @@ def clear_lengths(ranges, half_width, out):
     for k in range(n):
         # A wall at this beam's end is in the way of all beams that pass it nearer than the half width.
         r = ranges[k]
+        if r <= 0.0:  # not looked at
+            continue
         aside = math.asin(half_width / r) if r > half_width else math.pi / 2
         reach = int(aside / spacing)
         for offset in range(-reach, reach + 1):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from agents.actions import Decision, match_of
@@ -35,17 +37,20 @@ class KnnExplorer(LoopObserver, Agent):
 
     def __init__(self, config: ExplorerConfig, beams: int) -> None:
         super().__init__(config, beams)
-        self.frontiers = Frontiers(beams, config.range_max, config.frontiers, config.visibility)
-        self.planner = Planner(beams, config.dt, Costmap(config.range_max, config.costmap), config.planner)
+        self.frontiers = Frontiers(self._unseen.size, config.range_max, config.frontiers, config.visibility)
+        self.planner = Planner(self._unseen.size, config.dt, Costmap(config.range_max, config.costmap), config.planner)
         self.on_list = False
         self.done = False
         self._look_again = round(config.observer.look_again / config.dt)
         self._since_choice = 0
+        self._left_to_look = 0.0 if self.reader.laser.sees_all_around else math.tau
 
     def decide(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> Decision:
         """Observe, and drive on: the paper's Steps 1 to 6."""
         found = Detection()
         self.sense(scan, distance, compass)  # Steps 2 to 4: direction, indicator, group
+        if self._left_to_look > 0:
+            return self._look_around()
         if self.ready and not self.done:
             self._review()
             if self._is_due():
@@ -58,6 +63,12 @@ class KnnExplorer(LoopObserver, Agent):
         if step is None:
             return Decision(speed, turn)
         return Decision(speed, turn, claim=True, match=match_of(step, self.steps))
+
+    def _look_around(self) -> Decision:
+        """Turn on the spot, until the laser has looked all around."""
+        self.steps += 1
+        self._left_to_look -= abs(wrap_angle(self.poses[0, 2] - self.poses[1, 2])) if self.steps > 1 else 0.0
+        return Decision(0.0, self.config.observer.look_speed)
 
     @property
     def stop_reason(self) -> str | None:

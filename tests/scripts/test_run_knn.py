@@ -57,7 +57,7 @@ def test_metrics_are_those_of_the_same_run_by_hand(metrics: dict[str, Any]) -> N
     assert (metrics["steps"], metrics["return"], metrics["map"]) == (steps, total, "ring")
     assert metrics["path_over_tour"] == info["path_length_m"] / env.floor_plan.closed_tour()
     assert metrics["groups"] == len(state[0].groups)
-    assert metrics["rows_compared"] == state[0].detector.vote.compared
+    assert metrics["rows_compared"] == state[0].detector.compared
     assert metrics["open_areas"] == len(state[0].frontiers.listed)
     settings = ("noise", "preset", "detector", "measure", "seed", "random_start")
     assert [metrics[name] for name in settings] == ["ideal", "extended", "both", "cosine", 0, False]

@@ -6,11 +6,10 @@ import math
 
 from agents.rl.headings.memory import CANDIDATES
 from agents.rl.headings.tracking import match_keyframe, mend, set_prior
-from agents.slam.tracker import TrackerConfig
 from cyclic_env.jit import compiled
 
-DRIFT = TrackerConfig().drift_share
-"""As in the explorer."""
+DRIFT = 0.6
+"""Share of the compass's error from keyframe to keyframe that may be left in the headings of a long way."""
 GATE_MIN, GATE_MAX = 3.0, 12.0
 """Metres from the track within which keyframes are candidates, at least and at most."""
 CANDIDATE_SPACING = 2.5

@@ -21,13 +21,13 @@ from agents.slam.scan_matching import (
     align,
     compare_endpoints,
 )
-from agents.slam.tracker import TrackerConfig
-from agents.slam.wall_lines import fit_wall_lines
+from agents.slam.wall_lines import fit_wall_lines, measure_gaps, place_endpoints
 from cyclic_env.jit import compiled
 
 MATCHER = pack(MatcherValues, MatcherConfig())
-LAG, TURN_ERROR = TrackerConfig().bias_gain, TrackerConfig().heading_std
-"""As in the explorer."""
+LAG, TURN_ERROR = 0.3, math.radians(0.1)
+"""Share of the compass's error at a keyframe that lasts until the next, and standard deviation of the heading that
+matching two scans a metre apart gives, radians."""
 KEYFRAME_SPACING = 1.0
 """Metres between two keyframes."""
 CAPACITY = 128
@@ -87,6 +87,7 @@ class MatchScratch(NamedTuple):
     scan: np.ndarray
     endpoints: np.ndarray
     reference: np.ndarray
+    points: np.ndarray
     lines: np.ndarray
     prior: np.ndarray
     spread: np.ndarray
@@ -120,6 +121,7 @@ def allocate_match_scratch(beams: int) -> MatchScratch:
         scan=np.zeros(beams),
         endpoints=np.zeros(beams),
         reference=np.zeros(beams),
+        points=np.zeros((beams, 3)),
         lines=np.zeros((beams, 3)),
         prior=np.zeros(3),
         spread=np.zeros(3),
@@ -174,7 +176,9 @@ def match_keyframe(keyframes, i, k, scratch, range_max):
         for c in range(3):
             scratch.lines[b, c] = keyframes.lines[i, k, b, c]
     pose, hessian = scratch.pose, scratch.hessian
-    reference, prior = Reference(scratch.reference, scratch.lines), Prior(scratch.prior, scratch.spread)
+    place_endpoints(scratch.reference, scratch.points)
+    measure_gaps(scratch.reference, scratch.lines, scratch.points, MATCHER)
+    reference, prior = Reference(scratch.reference, scratch.points, scratch.lines), Prior(scratch.prior, scratch.spread)
     align(reference, scratch.endpoints, range_max, prior, Estimate(pose, hessian, scratch.gradient), MATCHER)
     there, seen_there = compare_endpoints(scratch.reference, scratch.scan, range_max, pose, MATCHER.tolerance)
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -232,7 +236,8 @@ def add_keyframe(robot, keyframes, i, scratch, range_max):
     keyframes.compass[i, k] = robot.compass
     keyframes.step[i, k] = robot.steps
     keyframes.decision[i, k] = robot.decisions
-    fit_wall_lines(scratch.endpoints, range_max, scratch.lines, MATCHER)
+    place_endpoints(scratch.endpoints, scratch.points)
+    fit_wall_lines(scratch.endpoints, range_max, scratch.points, scratch.lines, MATCHER)
     for b in range(scratch.scan.shape[0]):
         keyframes.scan[i, k, b] = scratch.scan[b]
         for c in range(3):
