@@ -10,7 +10,7 @@ demo: $(VENV)/.run ## Let the explorer drive Killian Court, write the figures, p
 	$(BIN)/python scripts/run_knn.py
 
 test: $(VENV)/.dev ## Run all tests, on all cores
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 lint: $(VENV)/.dev ## Style, types, import contracts
 	$(BIN)/ruff check .

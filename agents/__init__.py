@@ -1,6 +1,6 @@
-"""Policies for CyclicLoop: they see observations only, never an info, never the inside of the environment.
+"""Policies for CyclicLoop. They see observations only, never an info or the inside of the environment.
 
-The explorer and scripted ones come by name from `make_agent`; learned ones from `agents.rl.training`, which needs the
+`make_agent` returns the explorer and the scripted agents by name. `agents.rl.training` trains agents, which needs the
 extra ``train``.
 """
 

@@ -11,8 +11,8 @@ MATCH_START = -1.0
 STOP, FORWARD, TURN_LEFT, TURN_RIGHT, BACK = range(5)
 """The discrete drives."""
 TURN_FROM = 0.12
-"""Radians a second, as a share of full turning, from which a discrete action turns: one turn is 10 degrees, so smaller
-errors of the heading can't be mended."""
+"""Share of the full turning rate from which a discrete action turns. One turn is 10 degrees, so smaller errors of the
+heading can't be corrected."""
 
 
 class Decision(NamedTuple):
@@ -23,13 +23,13 @@ class Decision(NamedTuple):
     turn: float
     """Share of the full turning rate, counter-clockwise, -1 to 1."""
     claim: bool = False
-    """Whether the robot says that it is back at a place where it has been before."""
+    """Whether the robot claims to be back at a place where it has been before."""
     match: float = MATCH_START
-    """When it was there, from -1 (the reset) to 1 (now); see `match_of`."""
+    """When the robot was there before, from -1 (the reset) to 1 (now); see `match_of`."""
 
 
 def match_of(step: int, steps: int) -> float:
-    """Return the match that names a step among the `steps` so far, the one that is being decided among them."""
+    """Return the match that names a step among the `steps` so far, which include the one that is being decided."""
     return 2 * step / steps - 1
 
 

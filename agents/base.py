@@ -1,4 +1,4 @@
-"""From an agent that drives one robot to a policy that drives a batch of them."""
+"""Agents that drive one robot, and policies that drive a batch of robots with one such agent each."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ EXPECTED = "a dict with the arrays laser (N, beams), distance (N, 1) and compass
 
 
 class Agent(ABC):
-    """One robot's agent. It owns all that it remembers of an episode, and is made anew for the next one."""
+    """The agent of one robot for one episode. It owns all that it remembers; the next episode has a new agent."""
 
     beams: int | None = None
-    """Beams of the laser that it is made for, if it remembers scans."""
+    """Number of beams of the laser that the agent is made for, if it remembers scans."""
 
     @abstractmethod
     def decide(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> Decision:
-        """Take the readings of one step, and decide what to do.
+        """Decide what to do, given the readings of one step.
 
         Parameters
         ----------
         scan : (beams,) float64
             Ranges in metres, beam 0 straight ahead, counter-clockwise.
         distance : float
-            What the distance meter shows, metres.
+            Reading of the distance meter, metres.
         compass : (2,) float64
             The heading as a vector (east, north).
         """
@@ -51,16 +51,16 @@ class Readings(NamedTuple):
     compass: np.ndarray
     """`(N, 2)`, east and north."""
     single: bool
-    """Whether the observation was of one robot, without the batch axis."""
+    """Whether the observation was that of one robot, without the batch axis."""
 
 
 class BatchPolicy(ABC):
-    """A policy that has one agent for each robot, with the `predict` of Stable-Baselines3's ``PolicyPredictor``.
+    """A policy with one agent for each robot, and with the `predict` of Stable-Baselines3's ``PolicyPredictor``.
 
     Parameters
     ----------
     action_type : {"wheels", "twist", "discrete"}
-        That of the environment.
+        The action type of the environment.
     """
 
     def __init__(self, *, action_type: ActionType = "wheels") -> None:
@@ -73,10 +73,10 @@ class BatchPolicy(ABC):
         Parameters
         ----------
         beams : int
-            Of the laser.
+            Number of the laser's beams.
         row : int
         previous : Agent, optional
-            The one of the episode before.
+            The robot's agent in the episode before.
         """
 
     def predict(
@@ -86,19 +86,19 @@ class BatchPolicy(ABC):
         episode_start: np.ndarray | None = None,
         deterministic: bool = True,
     ) -> tuple[np.ndarray, Any]:
-        """Return actions, and the agents that have chosen them.
+        """Return the robots' actions, and the agents that have chosen them.
 
         Parameters
         ----------
         observation : dict of arrays
             ``laser`` `(N, beams)`, metres, beam 0 straight ahead, counter-clockwise all around; ``distance`` `(N, 1)`,
-            metres; ``compass`` `(N, 2)`, the heading as a vector (east, north). Without the N for one robot.
+            metres; ``compass`` `(N, 2)`, the heading as a vector (east, north). The axis N is absent for one robot.
         state : tuple of Agent, optional
-            As returned by the last call, which this one continues: it holds the same objects. None at the first call.
+            The state that the last call returned; its agents are updated in place. None at the first call.
         episode_start : (N,) bool, optional
             Robots whose episode has just begun.
         deterministic : bool
-            Makes no difference.
+            Has no effect.
 
         Returns
         -------
@@ -108,7 +108,7 @@ class BatchPolicy(ABC):
         Raises
         ------
         ConfigError
-            If the observation doesn't fit the above, or the state or `episode_start` is of other robots.
+            If the observation is not of this form, or the state or `episode_start` belongs to other robots.
         """
         laser, distance, compass, single = read_observation(observation)
         agents = self._agents(laser.shape, state, episode_start)
@@ -120,7 +120,7 @@ class BatchPolicy(ABC):
         return (batch[0] if single else batch), agents
 
     def _agents(self, shape: tuple[int, ...], state: Any, episode_start: np.ndarray | None) -> tuple[Agent, ...]:
-        """Return an agent for each row: that of the state, or a new one where an episode begins."""
+        """Return an agent for each row: the one in the state, or a new one where an episode begins."""
         count, beams = shape
         if state is None:
             return tuple(self.new_agent(beams, row) for row in range(count))
@@ -128,14 +128,16 @@ class BatchPolicy(ABC):
             raise ConfigError(f"the state is {short_repr(state)}; expected what the last predict returned, or None.")
         if len(state) != count:
             raise ConfigError(
-                f"the state is of {len(state)} robots, the observation of {count}; begin with state=None."
+                f"the state is that of {len(state)} robots, the observation that of {count}; begin with state=None."
             )
         begun = np.zeros(count, np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_).ravel()
         if len(begun) != count:
-            raise ConfigError(f"episode_start is of {len(begun)} robots, the observation of {count}.")
+            raise ConfigError(f"episode_start is that of {len(begun)} robots, the observation that of {count}.")
         for agent, new in zip(state, begun, strict=True):
             if not new and agent.beams not in (None, beams):
-                raise ConfigError(f"the state is of a laser with {agent.beams} beams, the observation of {beams}.")
+                raise ConfigError(
+                    f"the state is that of a laser with {agent.beams} beams, but the observation has {beams}."
+                )
         return tuple(
             self.new_agent(beams, row, agent) if new else agent
             for row, (agent, new) in enumerate(zip(state, begun, strict=True))
@@ -143,12 +145,12 @@ class BatchPolicy(ABC):
 
 
 def read_observation(observation: Any) -> Readings:
-    """Return the readings that an observation of one robot or of several holds.
+    """Return the readings in an observation of one robot or of several.
 
     Raises
     ------
     ConfigError
-        If it isn't `EXPECTED`, or a distance or compass reading is no finite number in range.
+        If the observation is not what `EXPECTED` says, or a reading of distance or compass is not finite and in range.
     """
     if not isinstance(observation, Mapping):
         raise ConfigError(f"the observation is {short_repr(observation)}; expected {EXPECTED}.")

@@ -1,4 +1,4 @@
-"""Evaluate agents side by side: the explorer and scripted ones by name, trained ones by the file of their model."""
+"""Evaluate agents side by side: named ones (the explorer, scripted agents), and trained ones by the file of a model."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ class Contestant:
     policy: Policy
     action_type: str
     map_name: tuple[str, ...]
-    """What it was trained on; empty for an agent that was not."""
+    """The maps that it was trained on; empty for an agent without training."""
 
 
 def load_contestant(name: str, action_type: str | None = None, **settings: Any) -> Contestant:
-    """Return the agent of that name, or the model in that file or folder.
+    """Return the agent with that name, or the model in that file or folder.
 
     Parameters
     ----------
     name : str
     action_type : str, optional
-        By default that which the model was trained with, or ``"wheels"``.
+        By default the one that the model was trained with, or ``"wheels"``.
     settings
-        Of the environment, as for `CyclicLoopEnv`: the agent is made for its laser and its robot.
+        Settings of the environment, as for `CyclicLoopEnv`; the agent is made for its laser and its robot.
 
     Raises
     ------
     ConfigError
-        If there is no such agent or file, the file is no model, or the model was trained with other actions or sensors.
+        If there is no such agent or file, the file is not a model, or the model has other actions or sensors.
     """
     if name in agent_names():
         settings["action_type"] = action_type or "wheels"
@@ -93,7 +93,7 @@ def compare(
     names : sequence of str
         As `load_contestant` takes them.
     maps : sequence of str
-        By default what the models among the agents were trained on; without models, Killian Court.
+        By default the maps that the models among the agents were trained on; without models, Killian Court.
     action_type : str, optional
         As for `load_contestant`.
     seeds, options
@@ -104,7 +104,7 @@ def compare(
     Raises
     ------
     ConfigError, FloorPlanError
-        Before anything is run, if any of the arguments doesn't fit.
+        If an argument doesn't fit; raised before the first episode.
     """
     seeds, settings = checked_seeds(seeds), dict(settings or {})
     contestants = [load_contestant(name, action_type, **settings, map_name=DEFAULT_MAP) for name in names]

@@ -1,4 +1,4 @@
-"""Settings of the components of an agent: frozen, checked when they are made, and packed for the compiled kernels."""
+"""The base of the settings of an agent's components: frozen, checked when made, and packed for compiled kernels."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from typing import Any
 from cyclic_env.validation import check_integer, check_number
 
 MOST = 10_000
-"""Of a whole number."""
+"""Greatest value of a whole number."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComponentConfig:
-    """Tuned numbers of one component; lengths in metres, angles in radians, times in seconds.
+    """The tuned numbers of one component; lengths in metres, angles in radians, times in seconds.
 
     Raises
     ------
     ConfigError
-        If a value isn't a finite number of at least 0, or not a whole number where the default is one.
+        If a value is not a finite number of at least 0, or not a whole number although the default is one.
     """
 
     def __post_init__(self) -> None:
@@ -31,7 +31,7 @@ class ComponentConfig:
 
 
 def kernel_tuple(name: str, config: type[ComponentConfig], module: str) -> Any:
-    """Return a named-tuple class with the fields of a config, in which compiled kernels take its values.
+    """Return a named-tuple class with the fields of a config, as which compiled kernels take its values.
 
     Assign it to the module-level `name` in `module`: the cache of compiled kernels looks for it there.
     """

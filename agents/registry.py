@@ -1,4 +1,4 @@
-"""Agents that need no training, by name: the baselines, which know nothing, and the explorer."""
+"""Agents that need no training, by name: the baselines, which follow fixed rules, and the explorer."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from cyclic_env.config import ActionType, EnvConfig
 from cyclic_env.validation import check_choice
 
 CLAIMS = "+claims"
-"""Ending of the names of agents that claim in every step to be back at the start."""
+"""Suffix of the names of agents that claim in every step to be back at the start."""
 
 _DRIVES: dict[str, Callable[..., ScriptedAgent]] = {
     "circling": partial(WallFollowingAgent, side=LEFT, wall_distance=CLEAR_OF_WALL),
@@ -52,7 +52,7 @@ _EXPLORERS = {
 
 
 def baseline_names() -> tuple[str, ...]:
-    """Return the names of the agents that know nothing."""
+    """Return the names of the agents that follow fixed rules."""
     return tuple(_BASELINES)
 
 
@@ -69,16 +69,16 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
     name : str
         One of `agent_names`.
     env : CyclicLoopEnv or CyclicLoopVectorEnv, optional
-        What it is for, perhaps wrapped: the agent takes its laser, robot and action type from there.
+        The environment to drive in, perhaps wrapped; the agent takes its laser, robot and action type from there.
     action_type : {"wheels", "twist", "discrete"}, optional
-        By default the environment's; without one, ``"wheels"``.
+        By default the environment's, or ``"wheels"`` without one.
     seed : int
-        For agents that draw.
+        Seed of agents that draw random numbers.
 
     Raises
     ------
     ConfigError
-        If there is no such agent; the message lists them and the nearest.
+        If there is no such agent; the message lists all names and suggests the nearest.
     """
     check_choice("agent", name, agent_names())
     settings = EnvConfig() if env is None else env.unwrapped.config

@@ -1,4 +1,4 @@
-"""Scripted agents: what can be had without any thought about loops, and a floor under every other score."""
+"""Scripted agents. They ignore loops, and their scores are the baseline that every other agent has to beat."""
 
 from __future__ import annotations
 
@@ -17,20 +17,20 @@ from cyclic_env.config import ActionType
 LEFT, RIGHT = 1, -1
 
 CLEAR_OF_WALL = 0.45
-"""Metres from the robot's center to the wall that it follows: 0.2 m of air."""
+"""Metres from the robot's centre to the wall that it follows, which leaves 0.2 m of air."""
 BEYOND_WALL = 0.2
-"""Less than the robot's radius: it leans on the wall all the way."""
+"""Metres to the wall; less than the robot's radius, so that it leans on the wall all the way."""
 
 LOOKAHEAD = 0.8
-"""Metres of free way that a heading must have; a full stop takes 0.4."""
+"""Metres that must be free along a heading; a full stop takes 0.4."""
 
 STOP_AHEAD = 0.75
-"""Metres from the robot's center to a wall at which it turns back: the radius, and half a metre to stop in."""
+"""Metres from the robot's centre to a wall at which it turns back: the radius and half a metre for the stop."""
 HALF_WIDTH = 0.35
-"""Metres: what is nearer to the line of driving is in the way."""
+"""Metres; obstacles nearer than this to the line along which the robot drives are in its way."""
 
 BITS = 0xFFFFFFFFFFFFFFFF
-"""Of the 64-bit whole numbers that random ones are made of."""
+"""Mask of 64-bit whole numbers, in which random numbers are computed."""
 
 
 class ScriptedAgent(Agent):
@@ -39,9 +39,9 @@ class ScriptedAgent(Agent):
     Parameters
     ----------
     claims : bool
-        Claim in every step to be back at the start (with discrete actions, anywhere); else never.
+        Whether to claim in every step to be back at the start (with discrete actions, anywhere), or never.
     key : int
-        Of its random numbers, if it draws.
+        Key of its random numbers, if it draws any.
     """
 
     def __init__(self, *, claims: bool = False, key: int = 0) -> None:
@@ -49,28 +49,28 @@ class ScriptedAgent(Agent):
         self.key = key
 
     def decide(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> Decision:
-        """Drive by the rule; only the scan matters."""
+        """Drive by the rule, which depends on the scan alone."""
         speed, turn = self.drive(scan)
         return Decision(speed, turn, self.claims, MATCH_START)
 
     @abstractmethod
     def drive(self, scan: np.ndarray) -> tuple[float, float]:
-        """Return speed and turning rate, as shares of the full ones."""
+        """Return speed and turning rate, as shares of full speed and of the full turning rate."""
 
 
 class ScriptedPolicy(BatchPolicy):
-    """A scripted agent for each robot; these are the state that `predict` returns.
+    """A policy with a scripted agent for each robot; the agents are the state that `predict` returns.
 
     Parameters
     ----------
     kind : callable
-        Makes a `ScriptedAgent`, given `claims` and `key`.
+        Returns a `ScriptedAgent`, given `claims` and `key`.
     action_type : {"wheels", "twist", "discrete"}
-        That of the environment.
+        The action type of the environment.
     claims : bool
         As for `ScriptedAgent`.
     seed : int
-        Of the random numbers of agents that draw.
+        Seed of agents that draw random numbers.
     """
 
     def __init__(
@@ -87,12 +87,12 @@ class ScriptedPolicy(BatchPolicy):
         self.seed = seed
 
     def new_agent(self, beams: int, row: int, previous: Any = None) -> ScriptedAgent:
-        """Return an agent with random numbers of its own: those of its row, and others in every episode."""
+        """Return an agent whose random numbers are those of its row, and different in every episode."""
         key = random_key(self.seed, row) if previous is None else mix(previous.key)
         return self.kind(claims=self.claims, key=key)
 
     def reseed(self, state: tuple[ScriptedAgent, ...] | None, seeds: Sequence[int | None]) -> tuple[ScriptedAgent, ...]:
-        """Return the state with the random numbers of some robots begun anew.
+        """Return the state, with the random numbers of some robots reseeded.
 
         A harness that gives every episode a seed calls this, so that an episode is the same in any row of any batch.
 
@@ -100,7 +100,7 @@ class ScriptedPolicy(BatchPolicy):
         ----------
         state : tuple of ScriptedAgent or None
         seeds : sequence of N ints or None
-            None leaves a robot's numbers as they are.
+            Seeds of the episodes that begin; None leaves a robot's random numbers as they are.
         """
         agents = state or tuple(self.new_agent(0, row) for row in range(len(seeds)))
         for agent, seed in zip(agents, seeds, strict=True):
@@ -126,7 +126,7 @@ class SpinningAgent(ScriptedAgent):
 
 
 class RandomAgent(ScriptedAgent):
-    """Draws its drives uniformly from the action space, in every step."""
+    """Draws its wheel speeds, or twist or drive, uniformly from the action space in every step."""
 
     def __init__(self, **settings: Any) -> None:
         super().__init__(**settings)
@@ -139,7 +139,7 @@ class RandomAgent(ScriptedAgent):
         return first, second
 
     def encode(self, decision: Decision, action_type: ActionType) -> tuple[float, ...]:
-        """Take the numbers that were drawn for those of the action, whatever they mean there."""
+        """Return the numbers that were drawn as those of the action, whatever they mean there."""
         if action_type == "discrete":
             return min(int((decision.speed + 1) / 2 * (BACK + 1)), BACK), int(decision.claim)
         return decision.speed, decision.turn, 1.0 if decision.claim else -1.0, decision.match
@@ -153,23 +153,23 @@ class ToAndFroAgent(ScriptedAgent):
         self.sign = 1.0
 
     def drive(self, scan: np.ndarray) -> tuple[float, float]:
-        """Go on, or back from a wall."""
+        """Continue, or turn back at a wall."""
         if way_ahead(without_outliers(scan), self.sign) < STOP_AHEAD:
             self.sign = -self.sign
         return self.sign, 0.0
 
 
 class WallFollowingAgent(ScriptedAgent):
-    """Goes to the wall on one side and along it, taking every turn to that side: around a block, or a whole building.
+    """Drives to the wall on one side and along it, taking every turn to that side: around a block or the building.
 
-    It looks at the nearest wall on its side, turns its gaze from there across its front, and takes the first heading
-    along which a disc of radius `wall_distance` could move for `LOOKAHEAD`.
+    Starting at the bearing of the nearest wall on its side, it searches across its front for the first heading along
+    which a disc of radius `wall_distance` could move for `LOOKAHEAD`.
 
     Parameters
     ----------
     side : {LEFT, RIGHT}
     wall_distance : float
-        From the robot's center to the wall, metres; less than its radius makes it lean on the wall.
+        Distance from the robot's centre to the wall, metres; if less than its radius, it leans on the wall.
     claims, key
         As for `ScriptedAgent`.
     """
@@ -199,21 +199,21 @@ def first_free_bearing(scan: np.ndarray, radius: float) -> float:
     scan : (beams,) array
         Ranges in metres, beam 0 straight ahead, counter-clockwise.
     radius : float
-        Of the disc, metres.
+        Radius of the disc, metres.
 
     Returns
     -------
     float
-        Radians in (-pi, pi]; where the disc can move nowhere, straight away from the nearest wall.
+        Radians in (-pi, pi]; if the disc can move nowhere, the bearing straight away from the nearest wall.
     """
     beams = len(scan)
-    # A wall blocks the bearings within this angle of its own: the disc would touch it with its side, or end on it.
+    # A wall blocks the bearings within this angle of its own: there the disc would touch it in passing, or at the end.
     ranges = np.maximum(scan, radius)
     on_side = np.arcsin(radius / ranges)
     at_end = np.arccos(np.clip((ranges**2 + LOOKAHEAD**2 - radius**2) / (2 * ranges * LOOKAHEAD), -1.0, 1.0))
     reach = np.where(ranges**2 <= LOOKAHEAD**2 + radius**2, on_side, at_end)
     blocked = np.any(angles_between(beams) < reach - 1e-9, axis=-1)
-    # The wall on the left may be as far round as a corner just passed is behind, or a wall straight ahead.
+    # The wall on the left may be straight ahead, or at a corner that the robot has just passed.
     window = (np.arange(-beams // 18, beams // 2 + beams // 18 + 1)) % beams
     nearest = window[np.argmin(scan[window])]
     order = (nearest - np.arange(beams)) % beams
@@ -239,13 +239,13 @@ def way_ahead(scan: np.ndarray, sign: float) -> float:
 
 
 def without_outliers(scan: np.ndarray) -> np.ndarray:
-    """Return the median of every beam and its two neighbors, which drops a single wrong range."""
+    """Return the median of every beam and its two neighbours, which removes single wrong ranges."""
     before, after = np.roll(scan, 1), np.roll(scan, -1)
     return np.maximum(np.minimum(before, scan), np.minimum(np.maximum(before, scan), after))
 
 
 def uniform(key: int, counter: int) -> float:
-    """Return the number from [-1, 1) that belongs to a key and a counter."""
+    """Return the random number in [-1, 1) for a key and a counter."""
     return (mix(key ^ mix(counter)) >> 11) * 2.0**-52 - 1.0
 
 
@@ -258,5 +258,5 @@ def mix(value: int) -> int:
 
 
 def random_key(seed: int, row: int) -> int:
-    """Return the key of the random numbers of a row, or of an episode's seed."""
+    """Return the key of the random numbers of a row, or of an episode with its own seed."""
     return mix(mix(seed & BITS) ^ (row & BITS))

@@ -1,4 +1,4 @@
-"""Learned agents: the environment as Stable-Baselines3 wants it, the task "headings", training, and stored models."""
+"""Learned agents: the environment for Stable-Baselines3, the task "headings", training, and stored models."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What happens beside training: curves, scores on validation plans, and checkpoints from which runs resume exactly."""
+"""Callbacks of a training: curves, scores on validation plans, and checkpoints from which runs resume exactly."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ class Curves(BaseCallback):
 
 
 class Validation(BaseCallback):
-    """Scores the model now and then, by first episodes on plans that it is not trained on, and keeps the best one.
+    """Scores the model at intervals, by first episodes on plans that it is not trained on, and keeps the best one.
 
     Parameters
     ----------
     make_env : callable
-        Returns the environment to score it in, with autoreset mode ``DISABLED``.
+        Returns the environment for the scores, with autoreset mode ``DISABLED``.
     every : int
         Steps between two scores.
     path : path
-        File of the scores, a line each.
+        File of the scores, one per line.
     keep : callable
         Called with the model whenever it scores better than ever before.
     seed : int
@@ -105,11 +105,11 @@ class Validation(BaseCallback):
 
 
 class Checkpoints(BaseCallback):
-    """Saves the model now and then, so that a run that is resumed from there goes on as if it had not been stopped.
+    """Saves the model at intervals, so that a resumed run continues as if it had not been stopped.
 
-    At each checkpoint all episodes begin anew, with seeds and random numbers that only depend on the run's seed and
-    the steps done: then the model, with its optimizer, is all that there is to save. (Robots in contact with a wall
-    can't be copied to the bit, and maps of hundreds of them are large.)
+    At each checkpoint all episodes begin anew, with seeds and random numbers that depend only on the run's seed and the
+    number of steps done, so that nothing but the model with its optimizer has to be saved. (Robots in contact with a
+    wall can't be copied to the bit, and the maps of hundreds of robots are large.)
 
     Parameters
     ----------
@@ -139,7 +139,7 @@ class Checkpoints(BaseCallback):
 
 
 def begin_anew(model: BaseAlgorithm, seed: int) -> None:
-    """Begin episodes in all rows of the model's environment, with random numbers that depend on seed and steps done."""
+    """Begin episodes in all rows of the model's environment; random numbers depend on the seed and the steps done."""
     env = model.get_env()
     assert env is not None
     seeds = np.random.SeedSequence([seed, model.num_timesteps]).generate_state(2)
@@ -151,7 +151,7 @@ def begin_anew(model: BaseAlgorithm, seed: int) -> None:
 
 
 def cut_back(path: Path, steps: int) -> list[dict[str, Any]]:
-    """Return the lines of a CSV file with a column ``steps``, up to those of step `steps`; none if there is no file."""
+    """Return the rows of a CSV file whose column ``steps`` is at most `steps`; none if there is no file."""
     if not steps or not path.exists():
         return []
     with path.open(newline="", encoding="utf-8") as file:

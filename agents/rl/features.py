@@ -1,4 +1,4 @@
-"""The features that a network learns from."""
+"""The features that are the input of a network."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from gymnasium import spaces
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 
 DISTANCE_SCALE = 200.0
-"""Metres of travel at which tanh(distance / scale) is three quarters of its greatest value: some laps of a block."""
+"""Metres of travel at which tanh(distance / scale) is three quarters of its maximum; some laps of a block."""
 
 
 class ScanFeatures(BaseFeaturesExtractor):
-    """The observation, scaled so that all its numbers are of about the same size.
+    """The observation, scaled so that all its numbers have about the same magnitude.
 
     Ranges are divided by the laser's reach. The distance, which has no bound, becomes
     tanh(distance / `DISTANCE_SCALE`). The compass is a unit vector already. The scaling is part of the policy and
-    saved with it, so a model takes observations as they come from the environment, in any harness.
+    saved with it, so a model takes the environment's observations unchanged in any harness.
 
     Parameters
     ----------
     observation_space : Dict
-        Of `CyclicLoopEnv`.
+        The observation space of a `CyclicLoopEnv`.
     """
 
     def __init__(self, observation_space: spaces.Dict) -> None:

@@ -1,4 +1,4 @@
-"""Models of Stable-Baselines3 and sb3-contrib, made from hyperparameters in YAML files: one a task and algorithm."""
+"""Models of Stable-Baselines3 and sb3-contrib, made from hyperparameters: a YAML file for each task and algorithm."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ POLICIES: Mapping[str, tuple[Any, dict[str, Any]]] = {
     "flat": ("MultiInputPolicy", {"features_extractor_class": FlatFeatures}),
     "shared": (SharedPolicy, {}),
 }
-"""Policies by the names that they have in the files, and what they are made with."""
+"""Policies by their names in the files, with the arguments that they are made with."""
 REQUIRED = ("policy", "num_envs", "reward_scale", "gamma")
 OURS = ("num_envs", "reward_scale", "minibatches")
-"""Hyperparameters that the algorithms do not take themselves."""
+"""Hyperparameters that are not arguments of the algorithms."""
 
 
 def hyperparameter_file(task: str, algo: str) -> Path:
@@ -61,7 +61,7 @@ def read_hyperparameters(path: Path, algo: str) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        If the file can't be read, lacks one that is needed, or has one that the algorithm does not take.
+        If the file can't be read, lacks a required hyperparameter, or has one that the algorithm does not take.
     """
     try:
         hyperparameters = yaml.safe_load(path.read_text(encoding="utf-8"))
@@ -91,16 +91,16 @@ def new_model(
     algo : str
         One of `ALGORITHMS`.
     hyperparameters : mapping
-        As from `read_hyperparameters`; all that it lacks is as in the algorithm's library.
+        As returned by `read_hyperparameters`; missing ones have the defaults of the algorithm's library.
     env : VecEnv
     seed : int
     discrete : bool
-        Whether actions are discrete, which leaves out what only continuous ones take: gSDE.
+        Whether actions are discrete; hyperparameters for continuous actions (gSDE) are then left out.
 
     Raises
     ------
     ConfigError
-        If the algorithm does not take them.
+        If the algorithm does not take these hyperparameters.
     """
     settings = {name: value for name, value in hyperparameters.items() if name not in OURS}
     policy, needed = POLICIES[settings.pop("policy")]

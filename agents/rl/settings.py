@@ -1,4 +1,4 @@
-"""What a model is trained with."""
+"""The settings of a training run."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ CONTINUOUS_ONLY = ("sac", "td3")
 DEFAULTS: Mapping[str, Mapping[str, Any]] = {
     "headings": {"algo": "maskable_ppo", "map_name": "generated:train", "noise": "calibrated,typical,poor"}
 }
-"""What else a training run of a task is on a command line that doesn't say."""
+"""Settings of a training run of a task that a command line need not give."""
 PARTS = ("step_budget", "random_start", "terminate_on_collision", "robot", "laser", "closure", "coverage", "reward")
-"""Settings that are those of `cyclic_env.EnvConfig`."""
+"""Settings with the names and meanings of `cyclic_env.EnvConfig`."""
 LISTS = ("map_name", "noise", "validation_map")
-"""Settings that are several names, with commas between on a command line."""
+"""Settings that hold several names, which commas separate on a command line."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,9 +47,9 @@ class TrainingSettings:
     algo: str = "ppo"
     map_name: tuple[str, ...] = ("ring",)
     noise: tuple[str, ...] = ("ideal",)
-    """Of several presets, every reset draws one."""
+    """Noise presets; every reset draws one of them."""
     action_type: ActionType = "wheels"
-    """Of the task headings it is always twist."""
+    """Always twist for the task headings."""
     step_budget: int | None = None
     random_start: bool = False
     terminate_on_collision: bool = False
@@ -59,13 +59,13 @@ class TrainingSettings:
     coverage: CoverageConfig = field(default_factory=CoverageConfig)
     reward: RewardConfig = field(default_factory=RewardConfig)
     num_envs: int | None = None
-    """None: as the hyperparameters say."""
+    """Number of robots; None means the number in the hyperparameters."""
     seed: int = 0
     validation_map: tuple[str, ...] = ()
-    """Plans on which checkpoints are scored, so that the best one is kept; none: no scores."""
+    """Plans on which checkpoints are scored, so that the best one is kept; without plans there are no scores."""
     validation_envs: int = 32
     hyperparameters: Mapping[str, Any] = field(default_factory=dict)
-    """As from a YAML file; empty: those of the file that is shipped for the task and the algorithm."""
+    """As read from a YAML file; empty means those of the file that is shipped for the task and the algorithm."""
 
     def __post_init__(self) -> None:
         check_choice("task", self.task, TASKS)
@@ -111,11 +111,10 @@ class TrainingSettings:
 
 
 def training_settings(given: Mapping[str, Any]) -> TrainingSettings:
-    """Return the settings with the fields that are given and defaults else.
+    """Return the settings with the given fields; the others have the task's `DEFAULTS` or those of `TrainingSettings`.
 
-    What isn't given and has no entry in `DEFAULTS` for the task is as in `TrainingSettings`. Models that are trained
-    on generated:train are scored on generated:validation. Of `LISTS` each is one text with commas between;
-    `hyperparameters` is the path of a YAML file.
+    Models that are trained on generated:train are scored on generated:validation. Each of `LISTS` is given as one text
+    with commas, and `hyperparameters` as the path of a YAML file.
     """
     given = {**DEFAULTS.get(given.get("task", ""), {}), **given}
     if given.get("map_name") == "generated:train":
@@ -135,8 +134,8 @@ def settings_from_stored(stored: Mapping[str, Any]) -> TrainingSettings:
     Raises
     ------
     KeyError, TypeError
-        If one is missing or unknown.
+        If a setting is missing or unknown.
     """
-    older = {name: stored[name] for name in PARTS if name in stored}  # models of before have only a step budget
+    older = {name: stored[name] for name in PARTS if name in stored}  # models of older versions have a step budget only
     names = [one.name for one in fields(TrainingSettings) if one.name not in PARTS]
     return TrainingSettings(**{name: stored[name] for name in names}, **older)

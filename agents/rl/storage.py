@@ -35,14 +35,14 @@ STORED = "training_settings"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrainedModel:
-    """A model, and what it was trained with; None for a model that is not from `train`."""
+    """A model and the settings that it was trained with, or None if it was not made by `train`."""
 
     model: BaseAlgorithm
     settings: TrainingSettings | None
 
 
 def save(model: BaseAlgorithm, settings: TrainingSettings, out: Path) -> None:
-    """Write the model and its settings; a model that is there is replaced only when the new one is complete."""
+    """Write the model and its settings; an existing model is replaced only when the new one is complete."""
     vars(model)[STORED] = asdict(settings)
     _write_model(model, out / MODEL)
     packages = {"cyclic-loop": cyclic_env.__version__, "python": platform.python_version()}
@@ -62,15 +62,15 @@ def save_best(model: BaseAlgorithm, settings: TrainingSettings, out: Path) -> No
 
 
 def _write_model(model: BaseAlgorithm, path: Path) -> None:
-    buffer = io.BytesIO()  # so that a full disk is met by one write, with an error that names the file
-    # The last observations are not needed to go on, for episodes begin anew then.
+    buffer = io.BytesIO()  # so that one write meets a full disk, with an error that names the file
+    # The last observations are not needed to resume, because all episodes then begin anew.
     model.save(buffer, exclude=["_last_obs", "_last_original_obs", "_last_episode_starts"])
     with atomic_write(path) as part:
         part.write_bytes(buffer.getvalue())
 
 
 def steps_done(out: Path) -> int:
-    """Return how many steps the model of a training run has been trained for; 0 if there is none."""
+    """Return for how many steps the model of a training run has been trained; 0 if there is no model."""
     try:
         return json.loads((out / SETTINGS).read_text(encoding="utf-8"))["steps"]
     except OSError:
@@ -83,7 +83,7 @@ def resumed_settings(out: Path, given: Mapping[str, Any]) -> TrainingSettings:
     Raises
     ------
     ConfigError
-        If there is no run, or any of the `given` fields (as `training_settings` takes them) differ from its own.
+        If there is no run, or one of the `given` fields (as `training_settings` takes them) differs from the run's.
     """
     if not (out / MODEL).is_file():
         raise ConfigError(f"there is no {MODEL} in {out} to resume from; leave out --resume to begin.")
@@ -105,7 +105,7 @@ def load_trained(path: Path) -> TrainedModel:
     Raises
     ------
     ConfigError
-        If there is none, or it is no model of a known algorithm.
+        If there is no file, or it is not a model of a known algorithm.
     """
     zip_path = path
     if path.is_dir():
@@ -114,12 +114,12 @@ def load_trained(path: Path) -> TrainedModel:
 
 
 def stored_settings(path: Path) -> TrainingSettings | None:
-    """Return the settings that a model was trained with, which are in its zip; None if it is not from `train`.
+    """Return the settings in a model's zip, with which it was trained; None if it was not made by `train`.
 
     Raises
     ------
     ConfigError
-        If the zip is no model, or the `SETTINGS` beside it say something else: someone changed them.
+        If the zip is not a model, or the `SETTINGS` beside it differ because someone changed them.
     """
     stored = _stored_data(path).get(STORED)
     if stored is None:
@@ -142,12 +142,12 @@ def stored_settings(path: Path) -> TrainingSettings | None:
 
 
 def check_fits(path: Path, model: BaseAlgorithm, observations: gymnasium.Space, actions: gymnasium.Space) -> None:
-    """Check that the model takes the env's observations, and the env the model's actions.
+    """Check that the model takes the environment's observations, and the environment the model's actions.
 
     Raises
     ------
     ConfigError
-        If they don't.
+        If a space differs.
     """
     for kind, own, its in (
         ("observations", model.observation_space, observations),
@@ -163,17 +163,17 @@ def load_model(path: Path) -> BaseAlgorithm:
     Raises
     ------
     ConfigError
-        If it is none, or damaged.
+        If the zip is not a model, or damaged.
     """
     algo = _algorithm_of(path)
     try:
         return ALGORITHMS[algo].load(path, device="cpu")
-    except Exception as error:  # whatever unpickling meets in a file that is no model, or a damaged one
+    except Exception as error:  # unpickling a damaged file can raise anything
         raise ConfigError(f"{path} can't be loaded as a model of {algo}: {error!r}.") from error
 
 
 def _algorithm_of(path: Path) -> str:
-    """Tell the algorithm of a model by the names of its parameters, since SB3 doesn't save it."""
+    """Return the algorithm of a model, told by the names of its parameters, since SB3 doesn't save it."""
     names = _stored_data(path)
     if "maskable" in str(names.get("rollout_buffer_class")):
         return "maskable_ppo"
@@ -189,13 +189,13 @@ def _algorithm_of(path: Path) -> str:
 
 
 def _stored_data(path: Path) -> dict[str, Any]:
-    """Return the parameters of a model by name, those that are no plain data as SB3 wraps them."""
+    """Return the parameters of a model by name; SB3 wraps those that are not plain data."""
     if not path.is_file():
         raise ConfigError(f"there is no model file {path}.")
     try:
         with zipfile.ZipFile(path) as archive:
             return dict(json.loads(archive.read("data")).items())
-    except Exception as error:  # whatever a damaged zip, or one of something else, brings up
+    except Exception as error:  # a damaged or foreign zip can raise anything
         raise ConfigError(f"{path} is no model of Stable-Baselines3, or a damaged one: {error!r}.") from error
 
 
@@ -205,7 +205,7 @@ def check_output_folder(out: Path) -> None:
     Raises
     ------
     ConfigError
-        If one of them can't; the message names it.
+        If one of them can't be; the message names it.
     """
     check_writable(out / MODEL)
     for path in (out / MODEL, out / BEST, out / SETTINGS, out / PROGRESS, out / VALIDATION):

@@ -48,9 +48,9 @@ PROGRESS_COLUMNS = ("cycles_closed", "false_claims", "return", "length", "covera
 MORE_COLUMNS = ("cycles_total", "claims", "precision", "recall", *(f"reward_{term}" for term in REWARD_TERMS))
 
 SAVE_EVERY = 50_000
-"""Steps between two checkpoints, at least."""
+"""Least number of steps between two checkpoints."""
 CHECKPOINT_EPISODES = 2
-"""Episodes of full length in every row, at least, between two checkpoints, since all begin anew at each."""
+"""Least number of full episodes in every row between two checkpoints, since all begin anew at each of them."""
 
 
 class TrainingError(CyclicLoopError, RuntimeError):
@@ -76,25 +76,25 @@ def train(
     ----------
     settings : TrainingSettings
     steps : int
-        Steps of all robots together, those before a resumption included; rounded up to whole updates.
+        Number of steps of all robots together, including those before a resumption; rounded up to whole updates.
     out : path
-        Folder for the model; made if need be, and tried before anything else.
+        Folder for the model; it is made if necessary, and checked before anything else.
     resume : bool
-        Go on with the model in `out`. Its replay buffer, if it has one, begins empty.
+        Whether to continue with the model in `out`. Its replay buffer, if it has one, begins empty.
     overwrite : bool
-        Replace the model in `out`; without it, a model that is there is an error.
+        Whether to replace a model in `out`; otherwise an existing model is an error.
     progress : tqdm, optional
         Bar that shows steps and scores.
     save_every : int, optional
-        Steps between two checkpoints, at which all episodes begin anew: see `Checkpoints`. By default as many as
-        `CHECKPOINT_EPISODES` episodes take. Scores on validation plans come with the checkpoints.
+        Steps between two checkpoints, at which all episodes begin anew; see `Checkpoints`. The default is the length of
+        `CHECKPOINT_EPISODES` episodes. The model is scored on the validation plans at each checkpoint.
 
     Raises
     ------
     ConfigError
         If the folder can't be written, holds a model already, or holds none to resume from; or steps aren't positive.
     TrainingError
-        If the training failed; it says what has been saved.
+        If the training failed; the message says what has been saved.
     """
     if steps < 1:
         raise ConfigError(f"steps is {steps}; expected at least 1.")
@@ -129,7 +129,7 @@ def train(
 
 
 def _checkpoints(settings: TrainingSettings, out: Path, every: int) -> list[BaseCallback]:
-    """Return what scores, if there are plans for that, and saves the model at each checkpoint."""
+    """Return the callbacks that save the model at each checkpoint and, if there are validation plans, score it."""
     saves = Checkpoints(every, settings.seed, partial(save, settings=settings, out=out))
     if not settings.validation_map:
         return [saves]
@@ -157,7 +157,7 @@ def _untrained_model(settings: TrainingSettings, venv: CyclicLoopVecEnv) -> Base
 
 
 def _resumed_model(venv: CyclicLoopVecEnv, steps: int, out: Path) -> BaseAlgorithm:
-    """Return the model in a folder, set to go on, after checking that there is something left to do."""
+    """Return the model in a folder, ready to be trained further, after checking that steps are left."""
     model = load_model(out / MODEL)
     check_fits(out / MODEL, model, venv.observation_space, venv.action_space)
     if model.num_timesteps >= steps:
@@ -183,7 +183,7 @@ def _log_to_tensorboard(model: BaseAlgorithm, out: Path) -> None:
 
 
 class _Bookkeeper(BaseCallback):
-    """Writes a line for each episode, shows progress, and saves the model now and then."""
+    """Writes a line for each episode, and shows progress."""
 
     def __init__(self, settings: TrainingSettings, out: Path, steps: int, progress: tqdm | None) -> None:
         super().__init__()
@@ -232,7 +232,7 @@ class _Bookkeeper(BaseCallback):
         assert self._file is not None
         try:
             csv.writer(self._file, lineterminator="\n").writerow(values)
-        except OSError as error:  # a full disk, say, of which the file doesn't know its name
+        except OSError as error:  # such as a full disk, whose error doesn't name the file
             raise OSError(error.errno, error.strerror, str(self._out / PROGRESS)) from error
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""Score a model on buildings that it is not trained on, one episode of each row: long ones count as short ones."""
+"""Scores of a model on buildings that it is not trained on: one episode in each row, so that all count alike."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from agents.rl.headings.agent import takes_masks
 
 
 def first_episodes(model: BaseAlgorithm, env: VectorEnv, seed: int) -> list[dict[str, Any]]:
-    """Run one episode in each row, by the model's most likely actions.
+    """Run one episode in each row with the model's most likely actions.
 
     Parameters
     ----------
     model : BaseAlgorithm
     env : VectorEnv
-        Of a task of ours, with autoreset mode ``DISABLED``.
+        A native vector env, with autoreset mode ``DISABLED``.
     seed : int
 
     Returns
     -------
     list of dict
-        Of each row the scalars of its last info, and its ``return``.
+        For each row the scalars of its last info, and its ``return``.
     """
     masked = takes_masks(model)
     observation, _ = env.reset(seed=seed)

@@ -17,37 +17,37 @@ from cyclic_env import CyclicLoopVectorEnv
 from cyclic_env.errors import UsageError
 
 ROW_METHODS = ("trajectory", "claims", "seen_cells")
-"""Methods of the vector env that take a row; here they are methods of each row, as of a single environment."""
+"""Methods of the vector env that take a row; here each row has them, as a single environment does."""
 ROW_SPACES = ("action_space", "observation_space")
 ROW_SEQUENCES = ("np_random", "np_random_seed")
-"""Attributes of the vector env that have an item for each row."""
+"""Attributes of the vector env with an item for each row."""
 
 
 class CyclicLoopVecEnv(VecEnv):
-    """`CyclicLoopVectorEnv` in the shape that Stable-Baselines3 wants.
+    """`CyclicLoopVectorEnv` with the interface of Stable-Baselines3.
 
     It resets a row in the step that ends its episode, as every SB3 `VecEnv` does. The info of that step has all of the
     last info, and ``terminal_observation``, ``TimeLimit.truncated`` and, as from a `Monitor`, ``episode``. The infos
-    of all other steps are empty: to build them in full for 256 rows takes five times as long as the step itself
-    (measured), and nothing in SB3 reads them. What is true at every moment is in ``venv.env.info_records``, an array
-    with a record for each row.
+    of all other steps are empty: full ones for 256 rows would take five times as long as the step itself (measured),
+    and nothing in SB3 reads them. The scalars of the current infos are in ``venv.env.info_records``, an array with a
+    record for each row.
 
     Parameters
     ----------
     num_envs : int
     reward_scale : float
-        Factor of the rewards, for returns of a size that networks learn well; the returns under ``info["episode"]`` are
-        without it.
+        Factor of the rewards, which brings returns to a magnitude that networks learn well; the returns under
+        ``info["episode"]`` are not scaled.
     settings
-        As for `CyclicLoopVectorEnv`, but for the autoreset mode.
+        As for `CyclicLoopVectorEnv`, except for the autoreset mode.
     """
 
     env: Any
-    """What is stepped."""
+    """The vector env that is stepped."""
     core: CyclicLoopVectorEnv
-    """What has the rows' buildings, paths and claims."""
+    """The vector env that has the rows' buildings, paths and claims."""
     steps_per_action = 1
-    """Steps of the environment for which an action holds."""
+    """Number of the environment's steps that an action lasts."""
 
     def __init__(self, num_envs: int = 1, *, reward_scale: float = 1.0, **settings: Any) -> None:
         self.env, self.core = self._make_envs(num_envs, settings)
@@ -69,7 +69,7 @@ class CyclicLoopVecEnv(VecEnv):
         with_options = np.array([bool(options) for options in self._options])
         rows = np.arange(self.num_envs)
         observation: dict[str, np.ndarray] = {}
-        if with_options.any():  # rows can differ in their options, which the vector env takes for all that it resets
+        if with_options.any():  # each row may have its own options, but the vector env takes one set for all it resets
             for row in rows[with_options].tolist():
                 observation = self._reset_rows(rows == row, self._options[row])
             rows = rows[~with_options]
@@ -87,7 +87,7 @@ class CyclicLoopVecEnv(VecEnv):
         return observation
 
     def step_async(self, actions: np.ndarray) -> None:
-        """Take the actions of the step to come."""
+        """Store the actions of the coming step."""
         self._actions = actions
 
     def step_wait(self) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray, list[dict[str, Any]]]:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -168,7 +168,7 @@ class CyclicLoopVecEnv(VecEnv):
         return [getattr(self.core, method_name)(row, *method_args, **method_kwargs) for row in rows]
 
     def env_is_wrapped(self, wrapper_class: type[gymnasium.Wrapper], indices: VecEnvIndices = None) -> list[bool]:
-        """Tell that no row is wrapped in anything but, to what its infos say, a `Monitor`."""
+        """Tell that each row is wrapped in a `Monitor`, whose entries its infos have, and in nothing else."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     def get_images(self) -> Sequence[np.ndarray | None]:

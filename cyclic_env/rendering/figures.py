@@ -56,16 +56,20 @@ def check_figure(path: FilePath) -> None:
         )
 
 
-def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, Axes]:
-    """Return a figure of the building, and its axes, in metres.
+def plan_figure(
+    plan: FloorPlan, title: str, scores: str = "", bounds: tuple[float, float, float, float] | None = None
+) -> tuple[Figure, Axes]:
+    """Return a figure of the building or of a part of it, and its axes, in metres.
 
     Parameters
     ----------
     plan : FloorPlan
     title, scores : str
         Two lines above the building.
+    bounds : (west, south, east, north), optional
+        The part to show, by default everything.
     """
-    west, south, east, north = plan.bounds
+    west, south, east, north = bounds or plan.bounds
     margin = MARGIN * max(east - west, north - south)
     width, height = east - west + 2 * margin, north - south + 2 * margin
     scale = min((WIDTH - LEFT - RIGHT_OF) / width, HEIGHT_MAX / height)
@@ -80,7 +84,7 @@ def plan_figure(plan: FloorPlan, title: str, scores: str = "") -> tuple[Figure, 
     for spine in axes.spines.values():
         spine.set_edgecolor(rgb(FAINT))
         spine.set_linewidth(0.5)
-    _draw_building(axes, plan, linewidth=0.7)
+    draw_building(axes, plan, linewidth=0.7)
     above = {"color": rgb(INK), "va": "center", "parse_math": False}  # so that a dollar sign is just a character
     figure.text(LEFT / WIDTH, 1 - 0.2 / total, title, fontsize=11, fontweight="bold", **above)
     figure.text(LEFT / WIDTH, 1 - 0.42 / total, scores, fontsize=8.5, **above)
@@ -106,7 +110,7 @@ def contact_sheet(plans: Sequence[FloorPlan], captions: Sequence[str], marked: S
         axes = figure.add_subplot(rows, columns, i + 1)
         axes.set_axis_off()
         axes.set_aspect("equal")
-        _draw_building(axes, plan, linewidth=0.4)
+        draw_building(axes, plan, linewidth=0.4)
         axes.scatter(*points.T, s=1.5, color=rgb(AMBER), linewidths=0, zorder=2)
         axes.autoscale_view()
         west, south, *_ = plan.bounds
@@ -206,7 +210,7 @@ def write_number(axes: Axes, text: str, position: np.ndarray, color: Color, size
     )
 
 
-def _draw_building(axes: Axes, plan: FloorPlan, linewidth: float) -> None:
+def draw_building(axes: Axes, plan: FloorPlan, linewidth: float) -> None:
     """Draw a building's floor and walls."""
     rings = [np.vstack([ring, ring[:1]]) for ring in plan.rings]
     outline = Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))

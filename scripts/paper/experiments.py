@@ -46,6 +46,10 @@ VARIATIONS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
 """Readings that the paper leaves open and that decide how a run goes: settings of preset `paper`."""
 
 
+SHARES = ("success", "coverage", "cycles_share", "found", "average_precision", "recall_at_99_precision")
+"""Metrics from 0 to 1."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scope:
     """How much is run."""
@@ -181,11 +185,16 @@ def recognition(store: Store, scope: Scope) -> tuple[pd.DataFrame, pd.DataFrame]
 
 
 def intervals(frame: pd.DataFrame, by: Sequence[str], metric: str) -> pd.DataFrame:
-    """Return mean, 95 % interval of the mean, and n of a metric in each group of rows; no interval of fewer than 5."""
+    """Return mean, 95 % interval of the mean, and n of a metric in each group of rows.
+
+    No interval is given of fewer than 5 rows. It ends at 0, below which no count, length or share lies, and that of a
+    share at 1.
+    """
+    greatest = 1.0 if metric in SHARES else np.inf
 
     def entry(values: pd.Series) -> pd.Series:
         numbers = values.to_numpy(float)
-        low, high = mean_interval(numbers) if len(numbers) >= 5 else (np.nan, np.nan)
+        low, high = np.clip(mean_interval(numbers), 0.0, greatest) if len(numbers) >= 5 else (np.nan, np.nan)
         return pd.Series({"mean": numbers.mean(), "low": low, "high": high, "n": len(numbers)})
 
     return pd.DataFrame(frame.groupby(list(by), sort=False)[metric].apply(entry).unstack())

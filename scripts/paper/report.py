@@ -15,7 +15,9 @@ import pandas as pd
 from scipy.stats import spearmanr
 
 from agents.knn.similarity import MEASURES
+from cyclic_env import load_floor_plan
 from cyclic_env.atomic_write import write_text_atomically
+from cyclic_env.config import noise_from_name
 from cyclic_env.evaluation.statistics import paired_difference
 from scripts.paper import experiments, figures
 from scripts.paper.experiments import Scope
@@ -156,6 +158,7 @@ class Reproduction:
             "headline": Cells(tables["headline"], ("explorer", "noise")),
             "differences": tables["differences"].set_index(["against", "metric"]),
             "plans": tables["plans"],
+            "building": load_floor_plan(scope.building),
             "finished": self._building("paper").metrics,
             "extended": self._building("extended").metrics,
             "found": Cells(tables["recognition"], ("noise", "search", "vectors", "measure")),
@@ -168,9 +171,10 @@ class Reproduction:
             "BEAMS": BEAMS,
             "times": times,
             "rank": float(spearmanr([times.pair_s[n] for n in TABLE_2], list(TABLE_2.values())).statistic),  # pyright: ignore[reportAttributeAccessIssue]
-            "growth": tables["growth"].tail(len(tables["growth"]) // scope.laps).mean(),
+            "growth": tables["growth"].tail(len(tables["growth"]) // scope.laps).median(),
             "variations": Cells(tables["variations"], ("reading", "choice")) if "variations" in tables else None,
             "choices": experiments.VARIATIONS,
+            "calibrated": noise_from_name("calibrated"),
             "noise": Cells(tables["noise"], ("explorer", "scale")) if "noise" in tables else None,
             "versions": versions | {name: version(name) for name in LIBRARIES},
         }
@@ -206,11 +210,15 @@ class Cells:
         """Return the number of rows."""
         return len(self.rows(*key))
 
-    def cell(self, metric: str, *key: Any, digits: int = 1) -> str:
+    def cell(self, metric: str, *key: Any, digits: int = 1, scale: float = 1.0) -> str:
         """Return ``mean [low, high]``, or the mean where there is no interval."""
-        entry = experiments.intervals(self.rows(*key).assign(all=0), ("all",), metric).iloc[0]
+        entry = scale * experiments.intervals(self.rows(*key).assign(all=0), ("all",), metric).iloc[0]
         mean = number(entry["mean"], digits)
         return mean if np.isnan(entry.low) else f"{mean} [{number(entry.low, digits)}, {number(entry.high, digits)}]"
+
+    def share(self, metric: str, *key: Any) -> str:
+        """Return the same in percent."""
+        return self.cell(metric, *key, digits=0, scale=100.0)
 
 
 def over_cosine(recognition: pd.DataFrame) -> dict[tuple[str, str], Any]:

@@ -103,7 +103,7 @@ def test_states_and_starts_that_do_not_fit_are_refused(name: str) -> None:
     _, state = policy.predict(observation)
     with pytest.raises(ConfigError, match="2 robots"):
         policy.predict({name: value[:1] for name, value in observation.items()}, state)
-    with pytest.raises(ConfigError, match="episode_start is of 3"):
+    with pytest.raises(ConfigError, match="that of 3 robots"):
         policy.predict(observation, state, np.zeros(3, np.bool_))
     for bad in (5, "x", (1, 2)):
         with pytest.raises(ConfigError, match="expected what the last predict returned"):
@@ -113,7 +113,7 @@ def test_states_and_starts_that_do_not_fit_are_refused(name: str) -> None:
 def test_a_state_of_another_laser_is_refused() -> None:
     policy, observation = KnnPolicy(), of_two_robots()
     _, state = policy.predict(observation)
-    with pytest.raises(ConfigError, match="180 beams, the observation of 90"):
+    with pytest.raises(ConfigError, match="180 beams, but the observation has 90"):
         policy.predict({**observation, "laser": observation["laser"][:, ::2]}, state)
 
 

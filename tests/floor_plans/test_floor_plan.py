@@ -186,7 +186,7 @@ def written(plan: FloorPlan) -> FloorPlan:
 AWKWARD = ["Z\u00fcrich", "next\x85line", "a\u2028b\u2029c", "two\nlines", "\ufeff", "yes", "3", "1e3", ": #"]
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(st.sampled_from(AWKWARD) | st.text(max_size=20), st.floats(-4, 4))
 def test_text_and_heading_of_a_written_plan_read_back_the_same(title: str, heading: float) -> None:
     plan = FloorPlan("square", Polygon(SQUARE), (1, 1, heading), title, "source", "licence")
@@ -194,7 +194,7 @@ def test_text_and_heading_of_a_written_plan_read_back_the_same(title: str, headi
     assert (back.title, back.start) == (title, plan.start)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(block_plans())
 def test_a_written_plan_reads_back_the_same(drawn: tuple[FloorPlan, int]) -> None:
     plan, back = drawn[0], written(drawn[0])

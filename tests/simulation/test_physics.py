@@ -13,8 +13,8 @@ from cyclic_env.floor_plans import FloorPlan, load_floor_plan
 from cyclic_env.simulation.physics import WORLD_SIZE_MAX, Simulation
 
 ROBOT = RobotConfig()
-STEPS, ROBOTS = 8000, 32
-"""Together a quarter of a million steps on every plan; `scripts/benchmark.py --walls` does a million and more."""
+STEPS, ROBOTS = 4000, 32
+"""Together 128,000 steps on every plan; `scripts/benchmark.py --walls` takes a million."""
 
 
 def drive(simulation: Simulation, commands: np.ndarray) -> None:
@@ -46,7 +46,7 @@ def test_no_robot_leaves_free_space_or_sinks_into_a_wall(plan: FloorPlan) -> Non
             x, y = simulation.drive["x"], simulation.drive["y"]
             assert shapely.contains_xy(plan.free_space, x, y).all()
             clearance = min(clearance, float(shapely.distance(shapely.points(x, y), boundary).min()))
-    assert contacts > 2000
+    assert contacts > 1000
     assert clearance >= ROBOT.radius - 0.06
 
 

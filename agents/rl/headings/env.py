@@ -245,7 +245,8 @@ class CyclicLoopHeadingsEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | 3, 4 | how much of both lies that way: log(1 + sum of exp(-d / 40 m)) / 5 and / 3 |
     | 5 | how lately it was driven, 2 m from here: exp(-decisions since / 60) |
 
-    `candidates` `(3, 10)`, of each place that the robot may be back at, the nearest first:
+    `candidates` `(3, 14)`, of each place that the robot may be back at: the two nearest first, and last the one whose
+    scan looks most like the robot's.
 
     | number | feature |
     |---|---|
@@ -259,8 +260,12 @@ class CyclicLoopHeadingsEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | 7 | by how much the match would move the track, / 4 m |
     | 8 | tanh(path since then / 200 m) |
     | 9 | 1 if that place is in sight |
+    | 10 | by how much the track is expected to err between the two, / 4 m |
+    | 11 | by how much the match would move the track, in units of thrice that and half a metre |
+    | 12 | by how much the inlier ratio exceeds that of candidates which call for another position, x 4 |
+    | 13 | exp(-d / 0.8 m), where d is the distance to the position that the last good match called for; 0 after 3 m |
 
-    `robot` `(10,)`:
+    `robot` `(12,)`:
 
     | number | feature |
     |---|---|
@@ -271,6 +276,8 @@ class CyclicLoopHeadingsEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     | 6 | metres driven in the last decision, as a share of what is possible |
     | 7, 8 | cosine and sine of the last heading that was chosen, from the robot's |
     | 9 | mean inlier ratio of neighbouring keyframes |
+    | 10 | tanh(s / 5 m), where s is the way over which all good matches have called for the same correction |
+    | 11 | standard deviation of the compass's turns from metre to metre, x 20 |
 
     ## Rewards, start, end, infos
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from agents.exploration.visibility import clear_beam, clear_lengths
+from agents.rl.headings.candidates import FRESH
 from agents.rl.headings.grid import UNREACHED
 from agents.rl.headings.memory import HEADINGS
 from agents.rl.headings.tracking import wrap
@@ -57,6 +58,8 @@ def describe_robot(memory, i, limits, ahead):
     features[7] = math.cos(off)
     features[8] = math.sin(off)
     features[9] = robot.inlier_ratio
+    features[10] = math.tanh(robot.agreed / 5) if robot.path - robot.shift_path <= FRESH else 0.0
+    features[11] = min(20 * math.sqrt(robot.compass_variance), 2.0)
 
 
 @compiled

@@ -17,7 +17,7 @@ CANDIDATES = 3
 """Most places that can be claimed at a time."""
 HOLD = 5
 """Steps of the environment for which a decision holds: a second."""
-PER_HEADING, PER_CANDIDATE, PER_ROBOT = 6, 10, 10
+PER_HEADING, PER_CANDIDATE, PER_ROBOT = 6, 14, 12
 """Features of each heading, of each candidate, and of the robot as a whole."""
 BEAMS_MIN, BEAMS_MAX = 60, 120
 """Beams of a scan that are matched: where the laser has more, evenly spaced ones."""
@@ -122,5 +122,5 @@ def allocate_scratch(rules: Rules) -> Scratch:
         ahead=Ahead(*np.zeros((len(Ahead._fields), HEADINGS))),
         steering=np.zeros(beams),
         steering_clear=np.zeros(beams),
-        matched=np.zeros((CANDIDATES, 4)),
+        matched=np.zeros((CANDIDATES, 5)),
     )

@@ -24,7 +24,9 @@ from agents.rl.headings.memory import (
 from agents.rl.headings.tracking import (
     KEYFRAME_SPACING,
     REDRAW,
+    TRACKER,
     add_keyframe,
+    average_ranges,
     dead_reckon,
     enlarged,
     localize,
@@ -149,8 +151,10 @@ def begin_rows(memory, rows):
         robot = memory.robots[i]
         robot.x, robot.y, robot.heading, robot.compass, robot.distance = 0.0, 0.0, 0.0, 0.0, 0.0
         robot.bias, robot.compass_variance, robot.inlier_ratio = 0.0, 0.0, 1.0
+        robot.scale, robot.scale_information = 1.0, TRACKER.scale_std**-2
         robot.path, robot.advance, robot.claim_path, robot.target = 0.0, 0.0, -math.inf, 0.0
         robot.shift_x, robot.shift_y, robot.shift_path, robot.strain = 0.0, 0.0, -math.inf, 0.0
+        robot.agreed, robot.fixed = 0.0, 0
         robot.steps, robot.decisions, robot.keyframes, robot.anchor, robot.begun = 0, 0, 0, 0, False
         memory.candidate_keyframes[i] = -1
 
@@ -181,6 +185,7 @@ def observe_rows(memory, limits, scratch, rows):
         for b in range(match.scan.shape[0]):
             match.scan[b] = scan[b * limits.stride]
             match.endpoints[b] = memory.endpoints[i, b * limits.stride]
+        average_ranges(robot, match)
         last = robot.keyframes - 1
         moved = math.inf
         if last >= 0:

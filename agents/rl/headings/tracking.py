@@ -1,17 +1,17 @@
 """Where each robot is and where it has been: dead reckoning, held by matching each keyframe with the last one.
 
-It does what `agents.slam.tracker.PoseTracker` does, with the same kernels, for many robots at once in compiled code;
-in place of the pose graph, the error that a match shows is spread evenly over the loop.
+It matches with the kernels of `agents.slam`, for many robots at once in compiled code; in place of the pose graph, the error that a match shows is spread evenly over the loop.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from agents.component_config import pack
+from agents.component_config import ComponentConfig, kernel_tuple, pack
 from agents.slam.scan_matching import (
     Estimate,
     MatcherConfig,
@@ -25,21 +25,50 @@ from agents.slam.wall_lines import fit_wall_lines, measure_gaps, place_endpoints
 from cyclic_env.jit import compiled
 
 MATCHER = pack(MatcherValues, MatcherConfig())
-LAG, TURN_ERROR = 0.3, math.radians(0.1)
-"""Share of the compass's error at a keyframe that lasts until the next, and standard deviation of the heading that
-matching two scans a metre apart gives, radians."""
 KEYFRAME_SPACING = 1.0
 """Metres between two keyframes."""
 CAPACITY = 128
 """Keyframes of each robot that there is room for at first."""
+SECTORS = 16
+"""Directions over each of which the ranges of a scan are averaged, to find keyframes that look like it."""
 STEP_SPREAD = (0.05, 0.05, math.radians(4))
 """Standard deviations of dead reckoning from one keyframe to the next, metres, metres and radians."""
 RATIO_MIN, INLIERS_MIN, ERROR_MAX = 0.75, 0.22, 1.0
 """A match with the last keyframe counts from this inlier ratio and share of all beams on, up to so many metres."""
 MEMORY = 30
 """Keyframes over which the mean inlier ratio and the compass's variance are taken."""
+REGULAR = 1e-6
+"""Added to a hessian's diagonal, so that it has an inverse."""
 REDRAW = 0.5
 """Metres by which mends have moved the track before the map is drawn anew."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackerConfig(ComponentConfig):
+    """What is expected of the sensors."""
+
+    heading_std: float = math.radians(0.1)
+    """Of the heading that matching two scans a metre apart gives; in simulation 0.03 to 0.12 degrees."""
+    position_std: float = 0.01
+    """Of the position that it gives."""
+    bias_gain: float = 0.3
+    """Share of the compass's error at a keyframe that lasts until the next: the field in a building changes slowly."""
+    drift_share: float = 0.6
+    """Share of the compass's error from keyframe to keyframe that may be left in the headings of a long way."""
+    scale_std: float = 0.03
+    """Of the distance meter's scale, before anything is known of it."""
+    slip_std: float = 0.03
+    """Of the way driven, metres per square root of a metre."""
+    scale_endpoints: float = 2.0
+    scale_distance: float = 0.5
+    scale_turn: float = 0.2
+    """A match tells the scale if so many endpoints tell the way driven, over so many metres, turning less than this."""
+    scale_step: float = 0.02
+    """By how much one match may change the scale, beyond its uncertainty: a few find the way far too short."""
+
+
+TrackerValues = kernel_tuple("TrackerValues", TrackerConfig, __name__)
+TRACKER = pack(TrackerValues, TrackerConfig())
 
 ROBOT = np.dtype(
     [
@@ -51,6 +80,8 @@ ROBOT = np.dtype(
         ("bias", "f8"),
         ("compass_variance", "f8"),  # of its turns from keyframe to keyframe
         ("inlier_ratio", "f8"),  # mean of the matches with the last keyframe
+        ("scale", "f8"),  # metres driven for each metre that the distance meter shows
+        ("scale_information", "f8"),
         ("path", "f8"),
         ("advance", "f8"),  # metres driven in the last decision
         ("claim_path", "f8"),  # path at the last claim
@@ -58,11 +89,13 @@ ROBOT = np.dtype(
         ("shift_x", "f8"),  # correction that the last good match called for, and at which path
         ("shift_y", "f8"),
         ("shift_path", "f8"),
+        ("agreed", "f8"),  # metres over which all good matches have called for the same correction
         ("strain", "f8"),  # metres by which the track was mended since the map was drawn anew
         ("steps", "i8"),
         ("decisions", "i8"),
         ("keyframes", "i8"),
-        ("anchor", "i8"),  # keyframe at which the track was mended last
+        ("anchor", "i8"),  # keyframe at which the track was mended last, and at which it was mended in all directions
+        ("fixed", "i8"),
         ("begun", "?"),
     ]
 )
@@ -79,12 +112,14 @@ class Keyframes(NamedTuple):
     decision: np.ndarray  # (N, K)
     scan: np.ndarray  # (N, K, B) float32
     lines: np.ndarray  # (N, K, B, 3) float32
+    ranges: np.ndarray  # (N, K, SECTORS) float32, means of the scan by direction in the frame of the track
 
 
 class MatchScratch(NamedTuple):
     """Working memory of one thread: a scan and its reliable endpoints, the reference, and the equations."""
 
     scan: np.ndarray
+    ranges: np.ndarray
     endpoints: np.ndarray
     reference: np.ndarray
     points: np.ndarray
@@ -107,6 +142,7 @@ def allocate_keyframes(robots: int, beams: int) -> Keyframes:
         decision=np.zeros((robots, CAPACITY), np.int64),
         scan=np.zeros((robots, CAPACITY, beams), np.float32),
         lines=np.zeros((robots, CAPACITY, beams, 3), np.float32),
+        ranges=np.zeros((robots, CAPACITY, SECTORS), np.float32),
     )
 
 
@@ -119,6 +155,7 @@ def allocate_match_scratch(beams: int) -> MatchScratch:
     """Return the working memory of one thread."""
     return MatchScratch(
         scan=np.zeros(beams),
+        ranges=np.zeros(SECTORS),
         endpoints=np.zeros(beams),
         reference=np.zeros(beams),
         points=np.zeros((beams, 3)),
@@ -143,7 +180,7 @@ def dead_reckon(robot, distance, east, north):
     """Move a robot by a reading of the distance meter and the compass; the first one begins its track."""
     heading = math.atan2(north, east)
     if robot.begun:
-        driven = distance - robot.distance
+        driven = robot.scale * (distance - robot.distance)
         # An arc's chord points midway between the headings of its ends.
         chord = robot.compass + 0.5 * wrap(heading - robot.compass) + robot.bias
         robot.x += driven * math.cos(chord)
@@ -155,6 +192,16 @@ def dead_reckon(robot, distance, east, north):
     robot.distance = distance
     robot.compass = heading
     robot.heading = wrap(heading + robot.bias)
+
+
+@compiled
+def average_ranges(robot, scratch):
+    """Average the scan in `scratch` by direction in the frame of the track."""
+    scan, ranges = scratch.scan, scratch.ranges
+    n = scan.shape[0]
+    ranges[:] = 0.0
+    for b in range(n):
+        ranges[math.floor((robot.heading / (2 * math.pi) + b / n) * SECTORS) % SECTORS] += scan[b] * SECTORS / n
 
 
 @compiled
@@ -217,14 +264,54 @@ def localize(robot, keyframes, i, scratch, range_max):
         return
     turn_error = wrap(robot.compass - keyframes.compass[i, k] - pose[2])
     robot.compass_variance += (turn_error**2 - robot.compass_variance) / min(MEMORY, k + 1)
+    learn_scale(robot, scratch)
     cos, sin = math.cos(heading), math.sin(heading)
     robot.x, robot.y = x + cos * pose[0] - sin * pose[1], y + sin * pose[0] + cos * pose[1]
     # The compass has no drift, the scans' headings drift but little: a Kalman gain holds them together.
-    gain = TURN_ERROR**2 / (TURN_ERROR**2 + robot.compass_variance)
+    gain = TRACKER.heading_std**2 / (TRACKER.heading_std**2 + robot.compass_variance)
     matched = heading + pose[2]
     matched += gain * wrap(robot.compass - matched)
-    robot.bias = wrap(robot.bias + LAG * wrap(matched - robot.heading))
+    robot.bias = wrap(robot.bias + TRACKER.bias_gain * wrap(matched - robot.heading))
     robot.heading = wrap(matched)
+
+
+@compiled
+def solve_symmetric(matrix, x, y):
+    """Return the solution of `matrix` `(3, 3)`, symmetric and hardly singular, for the right side (x, y, 0)."""
+    a, b, c = matrix[0, 0] + REGULAR, matrix[0, 1], matrix[0, 2]
+    d, e, f = matrix[1, 1] + REGULAR, matrix[1, 2], matrix[2, 2] + REGULAR
+    determinant = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
+    first, mixed, second = d * f - e * e, c * e - b * f, a * f - c * c
+    return (
+        (first * x + mixed * y) / determinant,
+        (mixed * x + second * y) / determinant,
+        ((b * e - c * d) * x + (b * c - a * e) * y) / determinant,
+    )
+
+
+@compiled
+def learn_scale(robot, scratch):
+    """Let a match with the last keyframe correct the distance meter's scale, as `ScanMatchingTracker` does."""
+    pose, prior = scratch.pose, scratch.prior
+    driven = math.sqrt(prior[0] ** 2 + prior[1] ** 2)
+    if driven < TRACKER.scale_distance or abs(pose[2]) > TRACKER.scale_turn:
+        return
+    along_x, along_y = prior[0] / driven, prior[1] / driven
+    # The covariance of the pose with its position along the way, in units of an endpoint's variance.
+    x, y, turn = solve_symmetric(scratch.hessian, along_x, along_y)
+    if along_x * x + along_y * y > 1 / TRACKER.scale_endpoints:
+        return
+    variance = MATCHER.endpoint_std**2 * (along_x * x + along_y * y)
+    # Without the prior, which has pulled at the match by as much as the endpoints did the other way.
+    free = along_x * pose[0] + along_y * pose[1]
+    for c, share in enumerate((x, y, turn)):
+        free += MATCHER.endpoint_std**2 * share * (pose[c] - prior[c]) / scratch.spread[c] ** 2
+    noise = variance + TRACKER.position_std**2 + TRACKER.slip_std**2 * driven
+    information = (driven / robot.scale) ** 2 / noise
+    error = robot.scale * free / driven - robot.scale
+    most = math.sqrt(TRACKER.scale_step**2 + 1 / robot.scale_information)
+    robot.scale_information += information
+    robot.scale += information / robot.scale_information * max(-most, min(most, error))
 
 
 @compiled
@@ -236,6 +323,8 @@ def add_keyframe(robot, keyframes, i, scratch, range_max):
     keyframes.compass[i, k] = robot.compass
     keyframes.step[i, k] = robot.steps
     keyframes.decision[i, k] = robot.decisions
+    for c in range(SECTORS):
+        keyframes.ranges[i, k, c] = scratch.ranges[c]
     place_endpoints(scratch.endpoints, scratch.points)
     fit_wall_lines(scratch.endpoints, range_max, scratch.points, scratch.lines, MATCHER)
     for b in range(scratch.scan.shape[0]):
@@ -246,13 +335,9 @@ def add_keyframe(robot, keyframes, i, scratch, range_max):
 
 
 @compiled
-def mend(robot, keyframes, i, k, x, y, heading):
-    """Move the robot to a pose that a match with keyframe k says, and spread its error over the way since then.
-
-    What was mended by an earlier match stays where it is.
-    """
+def mend(robot, keyframes, i, first, x, y, heading):
+    """Move the robot to a pose, and spread its error over the way since the keyframe `first`."""
     dx, dy, turn = x - robot.x, y - robot.y, wrap(heading - robot.heading)
-    first = max(k, robot.anchor)
     begin = keyframes.path[i, first]
     length = max(robot.path - begin, 1e-6)
     for j in range(first + 1, robot.keyframes):

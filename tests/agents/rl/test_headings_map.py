@@ -11,7 +11,16 @@ from agents.rl.headings.env import CyclicLoopHeadingsVectorEnv
 from agents.rl.headings.grid import CELL, SIDE, Ahead, allocate_grid, allocate_search_scratch, draw_scan, search
 from agents.rl.headings.memory import HOLD, Rules
 from agents.rl.headings.perception import Perception
-from agents.rl.headings.tracking import ROBOT, allocate_keyframes, dead_reckon, enlarged, mend
+from agents.rl.headings.tracking import (
+    ROBOT,
+    STEP_SPREAD,
+    allocate_keyframes,
+    allocate_match_scratch,
+    dead_reckon,
+    enlarged,
+    learn_scale,
+    mend,
+)
 from cyclic_env import LaserConfig
 from tests.agents.rl.rules import nearest_undriven
 
@@ -50,21 +59,35 @@ def test_the_grid_has_no_edges() -> None:
     np.testing.assert_array_equal(drawn[0].driven, drawn[1].driven)
 
 
-def test_mending_spreads_the_error_over_the_loop_and_leaves_what_came_before() -> None:
+def test_mending_spreads_the_error_over_the_way_since_a_keyframe_and_leaves_what_came_before() -> None:
     robot, keyframes = np.zeros(1, ROBOT)[0], allocate_keyframes(1, 4)
     keyframes.path[0, :5] = np.arange(5) * 10.0
     robot["path"], robot["keyframes"] = 40.0, 5
     mend(robot, keyframes, 0, 1, 3.0, 0.0, 0.3)
     np.testing.assert_allclose(keyframes.pose[0, :5, 0], [0, 0, 1, 2, 3])
     assert (robot["x"], robot["heading"]) == (3.0, pytest.approx(0.3))
-    keyframes.path[0, 5], robot["path"], robot["keyframes"] = 50.0, 50.0, 6
-    keyframes.pose[0, 5, 0] = 3.0
-    mend(robot, keyframes, 0, 0, 4.0, 0.0, 0.3)  # what was mended before stays
-    np.testing.assert_allclose(keyframes.pose[0, :6, 0], [0, 0, 1, 2, 3, 4])
+    assert robot["anchor"] == 4
+
+
+@pytest.mark.parametrize("true_scale", [0.95, 1.05])
+def test_matches_tell_the_scale_of_the_distance_meter(true_scale: float) -> None:
+    robot, scratch = np.zeros(1, ROBOT)[0], allocate_match_scratch(60)
+    robot["scale"], robot["scale_information"] = 1.0, 0.03**-2
+    scratch.hessian[:] = np.diag([20.0, 20.0, 100.0])
+    scratch.spread[:] = STEP_SPREAD
+    for _ in range(100):
+        scratch.prior[0] = robot["scale"]  # a metre by the meter
+        scratch.pose[0] = true_scale
+        learn_scale(robot, scratch)
+    assert robot["scale"] == pytest.approx(true_scale, abs=0.005)
+    scratch.hessian[0, 0], scratch.pose[0] = 0.01, 2.0  # along a corridor without doors they tell nothing
+    learn_scale(robot, scratch)
+    assert robot["scale"] == pytest.approx(true_scale, abs=0.005)
 
 
 def test_dead_reckoning_follows_a_circle() -> None:
     robot = np.zeros(1, ROBOT)[0]
+    robot["scale"] = 1.0
     for step in range(101):
         angle = 2 * math.pi * step / 100
         dead_reckon(robot, 0.1 * step, math.cos(angle), math.sin(angle))
