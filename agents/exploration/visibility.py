@@ -155,7 +155,7 @@ def _continues(ranges, range_max, k, step, far, values):
     along = math.sqrt((fx - x) ** 2 + (fy - y) ** 2)
     for reach in range(1, values.line_beams + 1):
         i = (k + step * reach) % n
-        if ranges[i] >= range_max - SHORT_OF_REACH:
+        if ranges[i] <= 0.0 or ranges[i] >= range_max - SHORT_OF_REACH:
             return False
         dx, dy = ranges[i] * math.cos(i * spacing) - x, ranges[i] * math.sin(i * spacing) - y
         base = math.sqrt(dx * dx + dy * dy)
@@ -201,6 +201,8 @@ def open_points(ranges, range_max, out, values):
     for k in range(n):
         other = (k + 1) % n
         a, b, kind = ranges[k], ranges[other], FIRM
+        if a <= 0.0 or b <= 0.0:  # at the edge of what the laser looks at
+            continue
         if a >= free and b >= free:
             first, last, beam, kind = range_max - values.reach_clearance, range_max, k + 0.5, UNBOUNDED
         elif abs(a - b) > values.jump:

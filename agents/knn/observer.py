@@ -13,7 +13,7 @@ from agents.knn.loop_detector import Detection, make_detector, make_tracker
 from agents.slam.keyframes import Keyframes, Paths
 from agents.slam.panorama import panorama_beams
 from agents.slam.scan_filters import LaserReader, confirm, despeckle, fill
-from agents.slam.se2 import compose, euclidean_distances, relative
+from agents.slam.se2 import compose, euclidean_distances, relative, wrap_angle
 from cyclic_env.errors import ConfigError
 
 
@@ -67,7 +67,7 @@ class LoopObserver:
         self.indicators = [0, 0, 0, 0]
         self.groups: list[Group] = []
         self.reader = LaserReader(config.laser(beams))
-        self._bearings, around = panorama_beams(self.reader.laser)
+        self._bearings, around, _ = panorama_beams(self.reader.laser)
         self._unseen = np.ones(around, np.bool_)
         self._unseen[self._bearings] = False
         self.keyframes = Keyframes(around, config.sectors, config.keyframes)
@@ -124,6 +124,11 @@ class LoopObserver:
             return math.inf
         return math.hypot(*(self.tracker.pose[:2] - self.keyframes.pose[-1, :2]))
 
+    @property
+    def turned(self) -> float:
+        """Radians by which the heading differs from that of the last keyframe."""
+        return abs(wrap_angle(self.tracker.pose[2] - self.keyframes.pose[-1, 2])) if self.keyframes.count else math.inf
+
     def add_keyframe(self) -> Detection:
         """Add a keyframe where the robot is, and say whether it has been here before."""
         self._add_row()  # Step 1: a row of the group's table
@@ -150,8 +155,8 @@ class LoopObserver:
         for earlier in range(1, filters.scans_to_confirm + 1):
             confirm(latest, tracker.pose, self.scans[earlier], self.poses[earlier], confirmed, tolerance, beams)
         fill(latest, confirmed, scan)
-        panorama = tracker.add_row(self.keyframes, self._ranges)
-        scan[self._unseen] = 0.0 if panorama is None else panorama[self._unseen]
+        tracker.add_row(self.keyframes, self._ranges)
+        scan[self._unseen] = 0.0 if tracker.panorama is None else tracker.panorama[self._unseen]
         self.scans[0] = scan
         row = self.keyframes.add(
             pose=tracker.pose,

@@ -195,7 +195,7 @@ class LoopCloser:
             self._failures += 1
             return
         run.set_edge(i, -1, j, found)
-        self.tracker.odometry.learn_loop(run.heading[i] - run.heading[j], found)
+        self.tracker.odometry.learn_loop(run.heading[j], run.heading[i], found)
         run.closure[i] = run.closures - 1
         run.connect(j, i)
         before = run.pose[i, :2].copy()
@@ -256,9 +256,9 @@ class LoopCloser:
             or span < surprise[best] * config.set_span
         ):
             return False
-        for k in members:
-            run.add_loop(pending[k].earlier, pending[k].later, pending[k].found)
-            self.tracker.odometry.learn_loop(run.heading[later[k]] - run.heading[earlier[k]], pending[k].found)
+        for before, after, found in ((pending[k].earlier, pending[k].later, pending[k].found) for k in members):
+            run.add_loop(before, after, found)
+            self.tracker.odometry.learn_loop(float(run.heading[before]), float(run.heading[after]), found)
         run.closures += 1
         self.closed.append((i, int(earlier[best])))
         unexpected = moved[best] - config.drift_min

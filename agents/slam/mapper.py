@@ -70,7 +70,7 @@ class Mapper:
     loops : LoopCloser
     odometry : OdometryModel
     pose : (3,) float64
-        Of the robot now. The first keyframe is at the origin, with the heading that was read there.
+        Of the robot now, its heading that of a panorama's beam 0. The first keyframe is at the origin.
     path : float
         Metres driven.
     step : int
@@ -80,7 +80,7 @@ class Mapper:
     def __init__(self, laser: LaserConfig, config: MapperConfig | None = None) -> None:
         self.config = config or MapperConfig()
         self.laser = laser
-        self._beams, self._count = panorama_beams(laser)
+        self._beams, self._count, self._offset = panorama_beams(laser)
         keyframing = self.config.keyframing
         self.range_max = min(laser.range_max, keyframing.range_max)
         around = laser.sees_all_around
@@ -122,7 +122,7 @@ class Mapper:
         self.step += 1
         if self.step == 0:
             self._last = (distance, heading)
-            self.pose[2] = heading
+            self.pose[2] = heading + self._offset
             return
         driven = self.odometry.scale * (distance - self._last[0])
         turn = float(wrap_angle(heading - self._last[1]))
@@ -130,7 +130,7 @@ class Mapper:
         self.path += abs(driven)
         # An arc's chord points midway between the headings at its ends.
         for pose in (self._moved, self.pose):
-            chord = pose[2] + 0.5 * turn
+            chord = pose[2] - self._offset + 0.5 * turn
             pose[0] += driven * math.cos(chord)
             pose[1] += driven * math.sin(chord)
             pose[2] = math.remainder(pose[2] + turn, math.tau)

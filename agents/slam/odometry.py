@@ -85,10 +85,10 @@ class OdometryModel:
             return 0.0
         return 1 / max(config.correlation * self.turn_variance, config.loop_std**2)
 
-    def learn_loop(self, compass_turn: float, found: Registration) -> None:
-        """Compare the compass's turn between two keyframes, between which the robot has driven a loop, with a match."""
+    def learn_loop(self, before: float, after: float, found: Registration) -> None:
+        """Compare what the compass read at two keyframes, between which the robot has driven a loop, with a match."""
         self._loops += 1
-        error = wrap_angle(compass_turn - found.pose[2])
+        error = wrap_angle(after - before - found.pose[2])
         self._loop_variance += (error**2 - self._loop_variance) / min(self.config.loop_memory, self._loops)
 
     def learn(self, odometry: np.ndarray, found: Registration) -> None:
@@ -112,4 +112,4 @@ class OdometryModel:
         wrong = self.scale * (along @ free) / driven - self.scale
         most = math.sqrt(config.scale_step**2 + 1 / self._scale_information)
         self._scale_information += information
-        self.scale += information / self._scale_information * max(-most, min(most, wrong))
+        self.scale += float(information / self._scale_information * max(-most, min(most, wrong)))

@@ -44,12 +44,22 @@ def spread_beams(ranges: np.ndarray, beams: np.ndarray, count: int) -> np.ndarra
     return panorama
 
 
-def panorama_beams(laser: LaserConfig) -> tuple[np.ndarray, int]:
-    """Return which beam of a panorama each beam of a laser is `(num_beams,)`, and how many beams the panorama has."""
+def panorama_beams(laser: LaserConfig) -> tuple[np.ndarray, int, float]:
+    """Return where a laser's beams lie in a panorama.
+
+    Returns
+    -------
+    beams : (num_beams,) int64
+        Which beam of the panorama each of the laser's is.
+    count : int
+        How many beams the panorama has.
+    offset : float
+        Bearing of the panorama's beam 0, radians: less than half of a beam from straight ahead.
+    """
     spacing = laser.beam_spacing
     count = round(math.tau / spacing)
-    beams = np.rint(laser.first_bearing / spacing + np.arange(laser.num_beams)).astype(np.int64) % count
-    return beams, count
+    first = math.floor(laser.first_bearing / spacing + 0.5)
+    return (first + np.arange(laser.num_beams)) % count, count, laser.first_bearing - first * spacing
 
 
 @compiled

@@ -27,17 +27,11 @@ class PoseTracker(ABC):
 
     Attributes
     ----------
-    pose : (3,) float64
-    path : float
-        Metres driven, forward and backward.
     odometry : (2,) float64
         The position by dead reckoning alone, from the compass and the distance meter.
     compass : float
         Its last reading as a heading.
     """
-
-    pose: np.ndarray
-    path: float
 
     def __init__(self) -> None:
         self.odometry = np.zeros(2)
@@ -54,6 +48,16 @@ class PoseTracker(ABC):
         self.odometry += driven * np.array([math.cos(middle), math.sin(middle)])
         self._move(distance, driven)
 
+    @property
+    @abstractmethod
+    def pose(self) -> np.ndarray:
+        """Of the robot now, `(3,)`."""
+
+    @property
+    @abstractmethod
+    def path(self) -> float:
+        """Metres driven, forward and backward."""
+
     @abstractmethod
     def _move(self, distance: float, driven: float) -> None:
         """Follow the readings that were taken."""
@@ -63,21 +67,13 @@ class PoseTracker(ABC):
         """Take the laser's ranges `(num_beams,)` between two rows; return whether the track was corrected by them."""
 
     @abstractmethod
-    def add_row(self, keyframes: Keyframes, ranges: np.ndarray) -> np.ndarray | None:
-        """Correct the pose and those of all rows before a row is added.
+    def add_row(self, keyframes: Keyframes, ranges: np.ndarray) -> None:
+        """Take the laser's ranges `(num_beams,)` where a row is about to be added, and correct the track by them."""
 
-        Parameters
-        ----------
-        keyframes : Keyframes
-            The rows up to now.
-        ranges : (num_beams,)
-            The laser's.
-
-        Returns
-        -------
-        (n,) float64, or None
-            The ranges all around, as the scans up to now tell them, 0 where none has looked.
-        """
+    @property
+    @abstractmethod
+    def panorama(self) -> np.ndarray | None:
+        """The ranges all around at the last row, as the latest scans tell them; 0 where none has looked."""
 
     @abstractmethod
     def join(self, row: int) -> None:
@@ -93,19 +89,31 @@ class DeadReckoningTracker(PoseTracker):
 
     def __init__(self) -> None:
         super().__init__()
-        self.pose = np.zeros(3)
-        self.path = 0.0
+        self._path = 0.0
+
+    @property
+    def pose(self) -> np.ndarray:
+        """As the readings tell it."""
+        return np.array([*self.odometry, wrap_angle(self.compass)])
+
+    @property
+    def path(self) -> float:
+        """As the readings tell it."""
+        return self._path
 
     def _move(self, distance: float, driven: float) -> None:
-        self.pose = np.array([*self.odometry, wrap_angle(self.compass)])
-        self.path += abs(driven)
+        self._path += abs(driven)
 
     def follow(self, keyframes: Keyframes, ranges: np.ndarray) -> bool:
         """Do nothing."""
         return False
 
-    def add_row(self, keyframes: Keyframes, ranges: np.ndarray) -> np.ndarray | None:
+    def add_row(self, keyframes: Keyframes, ranges: np.ndarray) -> None:
         """Do nothing."""
+
+    @property
+    def panorama(self) -> np.ndarray | None:
+        """None: nothing is put together."""
         return None
 
     def join(self, row: int) -> None:
@@ -156,16 +164,20 @@ class MappingTracker(PoseTracker):
         self._add_keyframe(keyframes, ranges)
         return True
 
-    def add_row(self, keyframes: Keyframes, ranges: np.ndarray) -> np.ndarray | None:
+    def add_row(self, keyframes: Keyframes, ranges: np.ndarray) -> None:
         """Take a keyframe."""
         if not self.mapper.has_keyframe:
             self._add_keyframe(keyframes, ranges)
         self.rows.append(self.mapper.run.count - 1)
-        return self.mapper.run.panorama[-1]
 
     def _add_keyframe(self, keyframes: Keyframes, ranges: np.ndarray) -> None:
         self.mapper.add_keyframe(ranges)
         keyframes.pose[:] = self.mapper.run.pose[self.rows]
+
+    @property
+    def panorama(self) -> np.ndarray | None:
+        """The mapper's."""
+        return self.mapper.run.panorama[-1]
 
     def join(self, row: int) -> None:
         """Let a way lead straight from one to the other."""

@@ -37,10 +37,13 @@ def half_of(panorama: np.ndarray) -> np.ndarray:
 
 
 def test_the_beams_of_a_half_turn_are_put_on_their_bearings() -> None:
-    beams, count = panorama_beams(HALF)
-    assert count == 360
+    beams, count, offset = panorama_beams(HALF)
+    assert (count, offset) == (360, 0.0)
     np.testing.assert_array_equal(beams, np.arange(-90, 90) % 360)
     assert (spread_beams(np.ones(180), beams, count) > 0).sum() == 180
+    between, count, offset = panorama_beams(LaserConfig(num_beams=180, field_of_view=math.pi))
+    assert len(set(between.tolist())) == 180
+    assert offset == pytest.approx(-0.5 * math.tau / count)
 
 
 def test_what_was_not_looked_at_is_neither_for_a_match_nor_against_it() -> None:
@@ -197,7 +200,7 @@ def test_a_compass_is_taken_as_absolute_only_where_loops_show_that_it_is() -> No
         for _ in range(40):
             model.learn(np.array([0.2, 0.0, math.radians(0.5)]), found)
         for _ in range(4):
-            model.learn_loop(turn, found)
+            model.learn_loop(0.0, turn, found)
     assert math.degrees(steady.turn_variance**0.5) < 2
     assert steady.heading_information > 10
     assert drifting.heading_information == 0

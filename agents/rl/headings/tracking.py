@@ -1,6 +1,7 @@
 """Where each robot is and where it has been: dead reckoning, held by matching each keyframe with the last one.
 
-It matches with the kernels of `agents.slam`, for many robots at once in compiled code; in place of the pose graph, the error that a match shows is spread evenly over the loop.
+It matches with the kernels of `agents.slam`, for many robots at once in compiled code; in place of a pose graph, the
+error that a match shows is spread evenly over the loop.
 """
 
 from __future__ import annotations
