@@ -86,7 +86,7 @@ def parse(kind: type[T], arguments: Sequence[str] | None, prog: str, description
 
 def one_line(box: str) -> str:
     """Return the message in a box of tyro's as one line, with the option that was perhaps meant."""
-    plain = re.sub(r"\x1b\[[0-9;]*m|[│╰╯]", "", box)  # without colors and frame
+    plain = re.sub(r"\x1b\[[0-9;]*m|[│╰╯]", "", box)  # without colours and frame
     _, first, *_ = re.split(r"^.*?(?:─{4,}|-{4,}).*$", plain, flags=re.MULTILINE)  # the title is in the frame, or first
     message = " ".join(re.split(r"\n\s*\n", first.strip())[0].split()).rstrip(".")
     message = re.sub(r"^Error parsing \S+: (?=\w+Config\.)", "", message)

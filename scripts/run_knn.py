@@ -129,7 +129,7 @@ class Run:
     ending : str
         Why the episode ended; `INTERRUPTED` until it has.
     stopped_at : int or None
-        The step at which the explorer had nothing left to explore; from then on it stands still.
+        The step at which the explorer had nothing left to explore and stopped, to stand still from then on.
     env_s, agent_s : list of float
         Seconds that each step up to then took in the environment and in the agent. Steps in which numba compiled or
         loaded a kernel are left out.
@@ -192,7 +192,7 @@ class Run:
             self.reward_terms[name] = self.reward_terms.get(name, 0.0) + value
         if terminated or truncated:
             self.ending = "success" if terminated else "step budget spent"
-        elif explorer.done and self.stopped_at is None:
+        elif explorer.stopped and self.stopped_at is None:
             self.stopped_at = self.steps
         return observation, state, (decided - began, ended - decided)
 

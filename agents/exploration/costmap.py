@@ -58,7 +58,7 @@ class Grid(NamedTuple):
     cost: np.ndarray
     """Of a metre; inf where the robot can't be."""
     costs_to_go: np.ndarray
-    """Of the cheapest path from the middle."""
+    """Of the cheapest path from where the paths begin."""
     predecessors: np.ndarray
     """The cell before each on that path, as a flat index; -1 where there is none."""
 
@@ -131,10 +131,11 @@ def clear_driven(grid, legs, values):
 
 
 @compiled
-def cost_to_go(grid, queue, waiting, values):
-    """Write the cost of the cheapest path from the middle to each cell, and the cell before it on that path.
+def cost_to_go(grid, starts, queue, waiting, values):
+    """Write the cost of the cheapest path from any of the starts to each cell, and the cell before it on that path.
 
-    `queue` `(cells**2,)` and `waiting` `(cells, cells)` are scratch.
+    `starts` `(n,)` are flat indices; from the first one, where the robot is, it may escape. `queue` `(cells**2,)` and
+    `waiting` `(cells, cells)` are scratch.
     """
     cost, costs_to_go, predecessors = grid.cost, grid.costs_to_go, grid.predecessors
     cells = cost.shape[0]
@@ -143,10 +144,15 @@ def cost_to_go(grid, queue, waiting, values):
             costs_to_go[i, j] = math.inf
             predecessors[i, j] = -1
             waiting[i, j] = False
-    row = column = cells // 2
-    costs_to_go[row, column] = 0.0
+    row, column = starts[0] // cells, starts[0] % cells
     size = cells * cells
-    queue[0], head, count = row * cells + column, 0, 1
+    head, count = 0, 0
+    for start in starts:
+        if not waiting[start // cells, start % cells]:
+            costs_to_go[start // cells, start % cells] = 0.0
+            waiting[start // cells, start % cells] = True
+            queue[count] = start
+            count += 1
     while count > 0:
         cell = queue[head]
         head = (head + 1) % size
@@ -219,6 +225,7 @@ class Costmap:
         Parameters
         ----------
         pose : (3,)
+            Or only a position, `(2,)`.
         scans, poses : (n, beams) and (n, 3)
         legs : (m, 2, 2)
             Straight pieces of the way that the robot has driven, metres.
@@ -230,7 +237,32 @@ class Costmap:
         draw_scans(grid, scans, self.range_max, poses, values)
         inflate(grid, values)
         clear_driven(grid, legs, values)
-        cost_to_go(grid, self._queue, self._waiting, values)
+        self.find_paths(np.array([(self.config.cells + 1) * (self.config.cells // 2)]))
+
+    def find_paths(self, starts: np.ndarray, *, escape: bool = True) -> None:
+        """Find the paths from cells, given as flat indices `(n,)`; the robot may escape from the first one."""
+        values = self._values if escape else self._values._replace(escape_cells=0)
+        cost_to_go(self._grid, starts, self._queue, self._waiting, values)
+
+    @property
+    def cost(self) -> np.ndarray:
+        """Of a metre, for each cell, `(cells, cells)`; inf where the robot can't be."""
+        return self._grid.cost
+
+    @property
+    def costs_to_go(self) -> np.ndarray:
+        """Of the paths to each cell, `(cells, cells)`; inf where none is known."""
+        return self._grid.costs_to_go
+
+    def cells_at(self, points: np.ndarray) -> np.ndarray:
+        """Return the cells at points `(n, 2)`, as flat indices `(n,)`; the nearest ones for points off the grid."""
+        columns, rows = np.clip((points - self._grid.corner) // self.config.cell, 0, self.config.cells - 1).T
+        return (rows * self.config.cells + columns).astype(np.int64)
+
+    def centers(self, cells: np.ndarray) -> np.ndarray:
+        """Return the centers `(n, 2)` of cells, given as flat indices `(n,)`."""
+        columns, rows = cells % self.config.cells, cells // self.config.cells
+        return np.column_stack([columns, rows]) * self.config.cell + (self._grid.corner + self.config.cell / 2)
 
     def costs_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the costs `(n,)` of the paths to points `(n, 2)`, inf where none is known, and their last cells."""
@@ -240,9 +272,7 @@ class Costmap:
 
     def path_to(self, cell: int) -> np.ndarray:
         """Return the centers `(m, 2)` of the cells on the path to a cell, given as a flat index, the robot's first."""
-        size, cells = self.config.cell, self.config.cells
-        path = [cell]
+        cells, path = self.config.cells, [cell]
         while self._grid.predecessors[path[-1] // cells, path[-1] % cells] >= 0:
             path.append(self._grid.predecessors[path[-1] // cells, path[-1] % cells])
-        flat = np.array(path[::-1])
-        return np.column_stack([flat % cells, flat // cells]) * size + (self._grid.corner + size / 2)
+        return self.centers(np.array(path[::-1]))

@@ -129,7 +129,6 @@ class Frontiers:
         """
         last = keyframes.count - 1
         pose = keyframes.pose[last]
-        here = euclidean_distances(keyframes.pose, pose)
         if len(self):
             points = self.points(keyframes)
             euclidean_m = euclidean_distances(points, pose)
@@ -150,19 +149,19 @@ class Frontiers:
             self.polar[nearer, 0] = euclidean_m[nearer]
             bearings = np.arctan2(*(points[nearer] - pose[:2]).T[::-1]) - pose[2]
             self.polar[nearer, 1] = bearings / (2 * np.pi / self.beams)
-        near = np.flatnonzero((here < self.config.sight) & keyframes.is_direct(geodesic_m, here))
-        self._add(keyframes, near[near != last])
+        self._unverified = self._add(keyframes, last, geodesic_m)
         self._list(keyframes, pose)
 
-    def _add(self, keyframes: Keyframes, near: np.ndarray) -> None:
-        """Add the open points of the last keyframe that those `near` have not explored."""
-        last = keyframes.count - 1
+    def _add(self, keyframes: Keyframes, keyframe: int, geodesic_m: np.ndarray) -> int:
+        """Add the open points of a keyframe that those nearby have not explored; return how many."""
+        here = euclidean_distances(keyframes.pose, keyframes.pose[keyframe])
+        near = np.flatnonzero((here < self.config.sight) & keyframes.is_direct(geodesic_m, here))
         polar = np.empty((max(self.config.max_points, 2 * self.beams), 3))
-        polar = polar[: open_points(keyframes.scan[last], self.range_max, polar, self._values)]
+        polar = polar[: open_points(keyframes.scan[keyframe], self.range_max, polar, self._values)]
         if self.looks is not None:
             polar = polar[self.looks[np.rint(polar[:, 1]).astype(np.int64) % self.beams]]
-        points = to_track(polar, np.tile(keyframes.pose[last], (len(polar), 1)), 2 * np.pi / self.beams)
-        new = ~self._is_explored(keyframes, near, points)
+        points = to_track(polar, np.tile(keyframes.pose[keyframe], (len(polar), 1)), 2 * np.pi / self.beams)
+        new = ~self._is_explored(keyframes, near[near != keyframe], points)
         for blocked in self._blacklist:
             new &= euclidean_distances(points, blocked) >= self.config.blacklist_radius
         known, areas = self.points(keyframes), self.area.tolist()
@@ -176,8 +175,24 @@ class Frontiers:
             known = np.vstack([known, point])
         self.polar = np.vstack([self.polar, polar[new]])
         self.area = np.array(areas, np.int64)
-        self._unverified = int(new.sum())
-        self.keyframe = np.append(self.keyframe, np.full(self._unverified, last))
+        count = int(new.sum())
+        self.keyframe = np.append(self.keyframe, np.full(count, keyframe))
+        return count
+
+    def reopen(self, keyframes: Keyframes, visibility: VisibilityConfig) -> None:
+        """Forget what could not be reached, and list again all that no scan has seen into.
+
+        Parameters
+        ----------
+        keyframes : Keyframes
+        visibility : VisibilityConfig
+            What counts as open from now on.
+        """
+        self._values = pack(VisibilityValues, visibility)
+        self._blacklist = self._blacklist[:0]
+        for keyframe in range(keyframes.count):
+            self._add(keyframes, keyframe, keyframes.geodesic_distances(keyframe).distances)
+        self._unverified = 0
 
     def verify(self, keyframes: Keyframes, measured: np.ndarray, poses: np.ndarray) -> None:
         """Put off the points of the last `update` that too few scans see through to: ranges may be wrong.
@@ -209,7 +224,7 @@ class Frontiers:
         self._resolve(explored, np.zeros(len(points), np.bool_))
 
     def blacklist(self, keyframes: Keyframes, point: np.ndarray) -> None:
-        """Give up a point `(2,)` that can't be reached, and what is around it, for good."""
+        """Give up a point `(2,)` that can't be reached, and what is around it, until all is reopened."""
         around = euclidean_distances(self.points(keyframes), point) < self.config.blacklist_radius
         for area in np.unique(self.area[around]):
             listed = self._areas[area].listed

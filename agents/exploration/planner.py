@@ -10,6 +10,7 @@ import numpy as np
 from agents.component_config import ComponentConfig
 from agents.exploration.costmap import Costmap
 from agents.exploration.frontiers import Frontiers
+from agents.exploration.survey import Survey
 from agents.exploration.visibility import clear_beam, clear_lengths
 from agents.slam.keyframes import Keyframes, Paths
 from agents.slam.se2 import euclidean_distances, wrap_angle
@@ -102,34 +103,39 @@ class Planner:
         self._best_cost = math.inf  # when there was progress last
         self._steps_stuck = 0
 
+    def squeeze(self, config: PlannerConfig, costmap: Costmap) -> None:
+        """Drive by other settings and over another costmap from now on, with the same patience."""
+        self.config, self._costmap = config, costmap
+
     def select_goal(
         self,
         pose: np.ndarray,
         scan: np.ndarray,
         keyframes: Keyframes,
-        frontiers: Frontiers,
+        goals: Frontiers | Survey,
         paths: Paths,
         order: np.ndarray | None = None,
     ) -> None:
-        """Choose an open point to go to: the one at hand, or the cheapest if that is gone or costs far more.
+        """Choose a point to go to: the one at hand, or the cheapest if that is gone or costs far more.
 
         Parameters
         ----------
         pose : (3,)
         scan : (beams,)
         keyframes : Keyframes
-        frontiers : Frontiers
+        goals : Frontiers or Survey
+            With the points to choose from.
         paths : Paths
             From the last keyframe.
         order : (m,), optional
             Only points of the least value are chosen from; inf for those that are out of the question.
         """
-        points = frontiers.points(keyframes)
+        points = goals.points(keyframes)
         if not len(points) or (order is not None and not np.isfinite(order).any()):
             self.goal = None
             return
         self._draw(pose, scan, keyframes, paths.distances)
-        costs, ends, on_map = self._costs(pose, points, keyframes, frontiers, paths.distances)
+        costs, ends, on_map = self._costs(pose, points, keyframes, goals, paths.distances)
         if order is not None:
             costs += np.where(order == order.min(), 0.0, np.inf)
         best = self._keep_or_switch(points, costs)
@@ -145,21 +151,26 @@ class Planner:
         if self._on_map:
             self.path = self._costmap.path_to(int(ends[best]))
         else:
-            on_route = paths.route(int(frontiers.keyframe[best]))
+            on_route = paths.route(int(goals.keyframe[best]))
             self.path = self._path_along(np.vstack([keyframes.pose[on_route, :2], goal]))
 
     def _costs(
-        self, pose: np.ndarray, points: np.ndarray, keyframes: Keyframes, frontiers: Frontiers, geodesic_m: np.ndarray
+        self,
+        pose: np.ndarray,
+        points: np.ndarray,
+        keyframes: Keyframes,
+        goals: Frontiers | Survey,
+        geodesic_m: np.ndarray,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the cost of going to each open point, the end of its path, and whether that is on the costmap."""
+        """Return the cost of going to each point, the end of its path, and whether that is on the costmap."""
         euclidean_m = euclidean_distances(points, pose)
         costs, ends = self._costmap.costs_to(points)
-        around = geodesic_m[frontiers.keyframe]
+        around = geodesic_m[goals.keyframe]
         on_map = np.isfinite(costs) & keyframes.is_direct(around, euclidean_m, self.config.map_reach)
-        costs = np.where(on_map, costs, around + frontiers.polar[:, 0] + self.config.off_map_cost)
+        costs = np.where(on_map, costs, around + goals.polar[:, 0] + self.config.off_map_cost)
         bearings = np.arctan2(points[:, 1] - pose[1], points[:, 0] - pose[0]) - pose[2]
         turning = self.config.turn_cost * np.abs(wrap_angle(bearings))
-        costs += turning + self._kind_cost[frontiers.polar[:, 2].astype(np.int64)]
+        costs += turning + self._kind_cost[goals.polar[:, 2].astype(np.int64)]
         return costs, ends, on_map
 
     def _keep_or_switch(self, points: np.ndarray, costs: np.ndarray) -> int:

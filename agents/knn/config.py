@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any, Literal
 
 from agents.component_config import ComponentConfig
+from agents.exploration.building_map import BuildingMapConfig
 from agents.exploration.costmap import CostmapConfig
 from agents.exploration.frontiers import FrontierConfig
 from agents.exploration.planner import PlannerConfig
+from agents.exploration.survey import SurveyConfig
 from agents.exploration.visibility import VisibilityConfig
 from agents.knn.similarity import MEASURES, measure_by_name
 from agents.slam.keyframes import KeyframeConfig
@@ -121,6 +123,9 @@ class ExplorerConfig:
         In which open areas are gone to.
     join : bool
         Connect a visited place to the known one.
+    look_again : bool
+        When no opening is left and the episode goes on, look again where the robot has hardly looked, try what was
+        given up, and drive the laps that it has only seen; if not, stop.
     asked_rows : int, optional
         Keyframes of each group, from its beginning, that are compared with earlier tables; None: all.
     range_max : float
@@ -129,7 +134,7 @@ class ExplorerConfig:
         Of the laser, radians; see `LaserConfig`.
     dt : float
         Length of a step, seconds.
-    filters, keyframes, mapper, loops, visibility, frontiers, costmap, planner, observer
+    filters, keyframes, mapper, loops, visibility, frontiers, costmap, planner, survey, building, observer
         The components' own settings.
 
     Raises
@@ -150,6 +155,7 @@ class ExplorerConfig:
     go_on: bool = False
     order: Literal["nearest", "first in first out", "last in first out"] = "nearest"
     join: bool = True
+    look_again: bool = True
     asked_rows: int | None = None
     range_max: float = 12.0
     field_of_view: float = math.tau
@@ -163,6 +169,8 @@ class ExplorerConfig:
     frontiers: FrontierConfig = field(default_factory=FrontierConfig)
     costmap: CostmapConfig = field(default_factory=CostmapConfig)
     planner: PlannerConfig = field(default_factory=PlannerConfig)
+    survey: SurveyConfig = field(default_factory=SurveyConfig)
+    building: BuildingMapConfig = field(default_factory=BuildingMapConfig)
     observer: ObserverConfig = field(default_factory=ObserverConfig)
 
     def __post_init__(self) -> None:
@@ -171,7 +179,7 @@ class ExplorerConfig:
         measure_by_name(self.measure)
         check_integer(self, "neighbours", 1, MOST)
         check_integer(self, "sectors", 2, MOST)
-        for name in ("match_scans", "unbounded_only", "go_on", "join"):
+        for name in ("match_scans", "unbounded_only", "go_on", "join", "look_again"):
             check_bool(self, name)
         for name in ("rounding", "row_spacing", "range_max", "dt"):
             check_number(self, name, 0.0, MOST, open_low=True)
@@ -228,12 +236,30 @@ class ExplorerConfig:
             observer=replace(self.observer, advance_max=max(self.observer.advance_max, 2 * robot.advance_max)),
         )
 
+    def squeezed(self) -> ExplorerConfig:
+        """Return these settings for passages that are hardly wider than the robot: finer, and closer to walls."""
+        visibility, costmap, planner = self.visibility, self.costmap, self.planner
+        closer = self.survey.squeeze
+        return replace(
+            self,
+            visibility=replace(visibility, wall_clearance=visibility.wall_clearance - closer),
+            costmap=replace(
+                costmap,
+                cell=costmap.cell / 2,
+                cells=2 * costmap.cells,
+                escape_cells=2 * costmap.escape_cells,
+                clearance=costmap.clearance - closer,
+            ),
+            planner=replace(planner, half_width=planner.half_width - closer),
+        )
+
 
 PRESETS: dict[str, ExplorerConfig] = {
     "paper": ExplorerConfig(
         match_scans=False,
         go_on=True,
         order="first in first out",
+        look_again=False,
         asked_rows=5,
         loops=DetectorConfig(position_radius=2.5),
     ),

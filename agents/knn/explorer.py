@@ -11,6 +11,7 @@ from agents.base import Agent
 from agents.exploration.costmap import Costmap
 from agents.exploration.frontiers import Frontiers
 from agents.exploration.planner import Planner
+from agents.exploration.survey import Survey
 from agents.knn.config import ExplorerConfig
 from agents.knn.loop_detector import Detection
 from agents.knn.observer import LoopObserver
@@ -18,7 +19,9 @@ from agents.slam.se2 import euclidean_distances, wrap_angle
 
 
 class KnnExplorer(LoopObserver, Agent):
-    """Explores a building, claims the places that it is back at, and stops when nothing is left open.
+    """Explores a building and claims the places that it is back at.
+
+    When nothing is left open it stops, or with `ExplorerConfig.look_again` looks for what it has missed.
 
     Parameters
     ----------
@@ -31,15 +34,21 @@ class KnnExplorer(LoopObserver, Agent):
     frontiers : Frontiers
         With the paper's list of open areas.
     planner : Planner
+    survey : Survey or None
+        Where it looks again when nothing is left open.
     done : bool
-        There is nothing left to explore.
+        There is nothing left to explore; with a survey that may change.
     """
 
     def __init__(self, config: ExplorerConfig, beams: int) -> None:
         super().__init__(config, beams)
+        around = self._unseen.size
         looks = None if self.reader.laser.sees_all_around else ~self._unseen
-        self.frontiers = Frontiers(self._unseen.size, config.range_max, config.frontiers, config.visibility, looks)
-        self.planner = Planner(self._unseen.size, config.dt, Costmap(config.range_max, config.costmap), config.planner)
+        self.frontiers = Frontiers(around, config.range_max, config.frontiers, config.visibility, looks)
+        self.planner = Planner(around, config.dt, Costmap(config.range_max, config.costmap), config.planner)
+        survey = Survey(around, config.range_max, config.survey, config.building, config.costmap)
+        self.survey = survey if config.look_again else None
+        self._goals: Frontiers | Survey = self.frontiers
         self.on_list = False
         self.done = False
         self._look_again = round(config.observer.look_again / config.dt)
@@ -50,7 +59,7 @@ class KnnExplorer(LoopObserver, Agent):
         """Observe, and drive on: the paper's Steps 1 to 6."""
         found = Detection()
         self.sense(scan, distance, compass)  # Steps 2 to 4: direction, indicator, group
-        if self.ready and not self.done:
+        if self.ready and not self.stopped:
             self._review()
             if self._is_due():
                 found = self.add_keyframe()  # Steps 1 and 5: a row, and the comparison with earlier tables
@@ -73,9 +82,14 @@ class KnnExplorer(LoopObserver, Agent):
         return 0.0, self.config.observer.look_speed
 
     @property
+    def stopped(self) -> bool:
+        """Whether there is nothing left to explore and it doesn't look again, so that it stands still from now on."""
+        return self.done and self.survey is None
+
+    @property
     def stop_reason(self) -> str | None:
-        """Why nothing is left to explore; None as long as there is something."""
-        if not self.done:
+        """Why it has stopped; None as long as it goes on."""
+        if not self.stopped:
             return None
         return "only openings left that it doesn't go to" if len(self.frontiers) else "list empty"
 
@@ -89,7 +103,7 @@ class KnnExplorer(LoopObserver, Agent):
         """Give up a goal that can't be reached, and verify openings by the scans before and after their keyframe."""
         keyframes, planner = self.keyframes, self.planner
         if planner.goal is not None and planner.gives_up:
-            self.frontiers.blacklist(keyframes, planner.goal)
+            self._goals.blacklist(keyframes, planner.goal)
             planner.clear_goal()
             self._since_choice = self._look_again
         if keyframes.count and self.steps - keyframes.step[-1] == self.config.observer.scans_kept // 2:
@@ -103,14 +117,24 @@ class KnnExplorer(LoopObserver, Agent):
         self._since_choice = self._look_again
 
     def _go_on(self) -> None:
-        """Choose a goal, after each keyframe and every few seconds; without one, the robot is done."""
+        """Choose a goal, after each keyframe and every few seconds; without one on the list, the robot is done."""
         if self._since_choice >= self._look_again:
             self._since_choice = 0
-            self.planner.select_goal(
-                self.tracker.pose, self.scans[0], self.keyframes, self.frontiers, self.paths, self._order()
-            )
-            self.done = self.planner.goal is None
+            self._goals, order = self.frontiers, self._order()
+            if self.survey is not None and not len(self.frontiers):
+                self._goals, order = self._look_closer(self.survey), None
+            pose, scan = self.tracker.pose, self.scans[0]
+            self.planner.select_goal(pose, scan, self.keyframes, self._goals, self.paths, order)
+            self.done = self._goals is not self.frontiers or self.planner.goal is None
         self._since_choice += 1
+
+    def _look_closer(self, survey: Survey) -> Frontiers | Survey:
+        """Return what the survey has to look at again, or the openings that are listed again as a new round begins."""
+        if survey.update(self.keyframes, self.claims, self.tracker.pose):
+            config = self.config.squeezed()
+            self.planner.squeeze(config.planner, Costmap(config.range_max, config.costmap))
+            self.frontiers.reopen(self.keyframes, config.visibility)
+        return self.frontiers if len(self.frontiers) else survey
 
     def _order(self) -> np.ndarray | None:
         """Return which open points come first, `(m,)`, inf for those out of the question; None if all are equal."""

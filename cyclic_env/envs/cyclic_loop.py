@@ -28,7 +28,7 @@ from cyclic_env.task.rewards import REWARD_TERMS
 
 
 class CyclicLoopEnv(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
-    """A robot explores a building full of loops and has to recognize the places that it returns to.
+    """A robot explores a building full of loops and has to recognise the places that it returns to.
 
     The robot has two wheels, a laser, a distance meter and a compass. The corridors close on themselves: a *cycle* is a
     block of the building that the robot can drive around, in a lap of at least 40 m with two points at least 10 m apart

@@ -197,7 +197,7 @@ def _thinned(trajectory: np.ndarray) -> np.ndarray:
 
 
 def write_number(axes: Axes, text: str, position: np.ndarray, color: Color, size: float, zorder: float) -> None:
-    """Write a short text centered on a position, metres."""
+    """Write a short text centred on a position, metres."""
     axes.text(
         position[0],
         position[1],
@@ -218,6 +218,6 @@ def draw_building(axes: Axes, plan: FloorPlan, linewidth: float) -> None:
 
 
 def rgb(color: Color) -> tuple[float, float, float]:
-    """Return a color in Matplotlib's form, with channels from 0 to 1."""
+    """Return a colour in Matplotlib's form, with channels from 0 to 1."""
     red, green, blue = color
     return red / 255, green / 255, blue / 255

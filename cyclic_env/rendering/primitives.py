@@ -143,7 +143,7 @@ def start_mark(radius: int) -> pygame.Surface:
 
 
 def swatch(color: Color, height: int = 12) -> pygame.Surface:
-    """Return a patch of color for the legend."""
+    """Return a patch of colour for the legend."""
     surface = transparent_surface((16, height))
     surface.fill(color)
     return surface
@@ -174,7 +174,7 @@ def transparent_surface(size: tuple[int, int]) -> pygame.Surface:
 
 
 def blit_centered(picture: pygame.Surface, sprite: pygame.Surface, x: float, y: float) -> None:
-    """Draw a mark centered at pixel (x, y)."""
+    """Draw a mark centred at pixel (x, y)."""
     width, height = sprite.get_size()
     picture.blit(sprite, (round(x - width / 2), round(y - height / 2)))
 
@@ -191,7 +191,7 @@ def draw_line(picture: pygame.Surface, color: Color, points: np.ndarray, width: 
 
 
 def mix(first: Color, second: Color, share: float) -> Color:
-    """Return the color at `share` between the first (0) and the second (1)."""
+    """Return the colour at `share` between the first (0) and the second (1)."""
     red, green, blue = (round(a + share * (b - a)) for a, b in zip(first, second, strict=True))
     return red, green, blue
 
@@ -204,7 +204,7 @@ def render_text(text: str, size: int, color: Color) -> pygame.Surface:
 
 
 def write(picture: pygame.Surface, text: str, size: int, color: Color, x: int, middle: int) -> int:
-    """Write a line from pixel column x, centered on row `middle`; return the column where it ends."""
+    """Write a line from pixel column x, centred on row `middle`; return the column where it ends."""
     if not text:
         return x
     line = render_text(text, size, color)

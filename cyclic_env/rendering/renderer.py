@@ -52,7 +52,7 @@ FAN_ALPHA = 80
 ROBOT_RADIUS_MIN = 8.0
 """Pixels. In a large building the robot is drawn larger than it is."""
 INSET_REACH = 6.5
-"""Metres from the center of the close-up to its sides."""
+"""Metres from the centre of the close-up to its sides."""
 INSET_ZOOM = 2
 """How many times larger the close-up is drawn before it is scaled down, which smooths its edges."""
 
@@ -193,7 +193,7 @@ def _draw_seen(picture: pygame.Surface, view: View, snapshot: RobotSnapshot) -> 
 
 
 def _with_wall_cells(cells: np.ndarray) -> np.ndarray:
-    """Return the cells to tint: those seen, and their neighbors in walls, which may have a strip of floor."""
+    """Return the cells to tint: those seen, and their neighbours in walls, which may have a strip of floor."""
     seen = cells == 1
     near = seen.copy()
     near[1:] |= seen[:-1]

@@ -38,7 +38,7 @@ WIDTH_MIN = 800
 """The line of scores needs this width."""
 HEADER, FOOTER, MARGIN = 66, 34, 16
 TITLE_LINE, SCORE_LINE = 20, 47
-"""Pixel rows of the centers of the two lines above the building."""
+"""Pixel rows of the centres of the two lines above the building."""
 SCALE_MAX = 40.0
 """Pixels per metre; the limit keeps a single room from filling a screen."""
 STATIC_ZOOM = 3
@@ -130,7 +130,7 @@ def scene_of(plan: FloorPlan, size: tuple[int, int]) -> Scene:
 
 
 def _arrange(plan: FloorPlan, room: pygame.Rect, *, snug: bool) -> tuple[View, pygame.Rect | None]:
-    """Return the view of a plan centered in a room, or in its corner (`snug`), and where the close-up goes."""
+    """Return the view of a plan centred in a room, or in its corner (`snug`), and where the close-up goes."""
     view = _fit(plan, room, snug=snug)
     if view.scale >= INSET_SCALE_MAX:
         return view, None
@@ -180,7 +180,7 @@ def draw_building(
     """Return the walls and everything behind them, with transparent free space; `walled` is free space plus walls."""
     surface = transparent_surface(size)
     surface.fill(SOLID)
-    # Transparent pixels have the walls' color, so that smoothed edges contain no other color.
+    # Transparent pixels have the walls' colour, so that smoothed edges contain no other colour.
     layers = [(walled, "exterior", WALL), (free, "exterior", (*WALL, 0)), (free, "interiors", WALL)]
     for geometry, rings, color in [*layers, (walled, "interiors", SOLID)]:
         for polygon in shapely.get_parts(geometry):

@@ -1,7 +1,7 @@
-"""The state of a game: what the keys do, without a window. `scripts.game.view` draws it.
+"""The state of a game, and what the keys do to it, without a window. `scripts.game.view` draws it.
 
-The player drives, and claims to be back where the robot was at an earlier step: at the nearest position of its own path
-that it left long enough ago, or at one that the player has picked.
+The player drives, and claims that the robot is back where it was at an earlier step: at the nearest position on its
+path that it left long enough ago, or at one that the player has picked.
 """
 
 from __future__ import annotations
@@ -19,24 +19,24 @@ from cyclic_env.validation import check_choice, short_repr
 
 Show = Literal["robot", "truth"]
 SHOWS: tuple[Show, ...] = ("robot", "truth")
-"""What the player sees: what the robot has sensed, placed by dead reckoning; or the building and the true path."""
+"""What the player sees: the robot's readings, placed by dead reckoning, or the building and the true path."""
 
 DRIVES = ("forward", "back", "left", "right", "slow")
-"""What a key that is held down can do."""
+"""The effects of keys that are held down."""
 
 SPOT_TURN = 0.15
 """Wheel speed of a turn on the spot, as a share of full speed: 0.9 rad/s."""
 ARC_SPEED, ARC_TURN = 0.85, 0.12
 """Mean wheel speed, and deviation of each wheel from it, of a turn while driving: 0.7 rad/s at 1 m/s."""
 SLOW = 0.4
-"""Share of the speed that is left while the key for slow is held."""
+"""Share of the speed while the key for slow is held."""
 
 CLOUD_CELL = 0.1
-"""Endpoints of beams within a cell of this side, in metres, are drawn as one."""
+"""Side of a cell in metres; the endpoints of beams in a cell are drawn as one."""
 CELLS = 2**24
 """Number of cells from west to east and from south to north, so that two cell numbers fit in 64 bits."""
 CLOUD_SPACING = 0.5
-"""Metres of path between two scans that are kept for the drawing."""
+"""Metres of path between two scans whose endpoints are drawn."""
 
 
 class Play:
@@ -56,7 +56,7 @@ class Play:
         Which of `DRIVES` are held down.
     started, paused, ended : bool
     message : str
-        What the player should know now.
+        The message to the player.
     info : dict
         The last info.
     episode_return : float
@@ -124,7 +124,7 @@ class Play:
         return endpoints[ranges < laser.range_max]
 
     def candidate(self) -> int | None:
-        """Return the step that a claim would name now: the picked one, or the nearest that was left long enough ago."""
+        """Return the step that a claim would name: the picked one, or the nearest that was left long enough ago."""
         if self._picked is not None:
             return self._picked
         driven = self.track[:, 3]
@@ -139,7 +139,7 @@ class Play:
             self._picked = int(np.argmin(np.hypot(*(self.positions[:-1] - np.asarray(position)).T)))
 
     def unpick(self) -> None:
-        """Let the nearest step be the candidate again."""
+        """Make the nearest step the candidate again."""
         self._picked = None
 
     def claim(self) -> None:

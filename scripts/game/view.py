@@ -1,4 +1,4 @@
-"""The picture of a game: the building and the truth, or what the robot has sensed; and the keys."""
+"""The picture of a game: the building and the truth, or what the robot has sensed, above a line with the keys."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def play_size(play: Play) -> tuple[int, int]:
 
 
 def play_view(play: Play) -> View:
-    """Return where the world is in the picture."""
+    """Return the view of the world in the picture."""
     width, height = play_size(play)
     if play.show == "truth":
         return scene_of(play.core.floor_plan, (width, height - STRIP)).view
@@ -95,7 +95,7 @@ def _draw_sensed(picture: pygame.Surface, view: View, play: Play) -> None:
 
 
 def _draw_dots(picture: pygame.Surface, centers: np.ndarray, color: Color, side: int) -> None:
-    """Draw squares of `side` pixels; all at once, because there are many."""
+    """Draw many squares of `side` pixels at once."""
     pixels = pygame.surfarray.pixels2d(picture)
     corners = np.round(centers).astype(int) - side // 2
     inside = ((corners >= 0) & (corners < np.array(pixels.shape) - side)).all(axis=1)

@@ -24,7 +24,7 @@ EXPLORERS: Mapping[str, Mapping[str, Any]] = {
     "both": {},
     "extended": {"preset": "extended"},
 }
-"""What a place is recognized by: the settings of a run."""
+"""The settings of a run for each way of recognising a place."""
 VARIATIONS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "openings gone to": {
         "all that are listed": {},
@@ -43,7 +43,7 @@ VARIATIONS: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     },
     "range of the laser": {f"{reach:g} m": {"range_max": reach} for reach in (6.0, 12.0, 20.0)},
 }
-"""Readings that the paper leaves open and that decide how a run goes: settings of preset `paper`."""
+"""Choices that the paper leaves open and that decide how a run goes, as settings of the preset `paper`."""
 
 
 SHARES = ("success", "coverage", "cycles_share", "found", "average_precision", "recall_at_99_precision")
@@ -55,16 +55,16 @@ class Scope:
     """How much is run."""
 
     starts: int = 10
-    """Random starts, and seeds of the noise, of each explorer in the paper's building."""
+    """Number of random starts, each with its own seed of the noise, of each explorer in the paper's building."""
     maps: tuple[str, ...] = tuple(map_names())
     building: str = BUILDING
     variations: int = 0
-    """Starts of each variation; 0 leaves the variations out."""
+    """Number of starts of each variation; 0 leaves the variations out."""
     noise_scales: tuple[float, ...] = ()
-    """Shares of the noise of `poor`, for the sweep; none leaves the sweep out."""
+    """Factors on the noise of `poor` for the sweep; without any, the sweep is left out."""
     laps: int = 7
     repeats: int = 60
-    """Batches of each timing."""
+    """Number of batches of each timing."""
 
 
 PAPER = Scope()
@@ -73,7 +73,7 @@ PAPER_ALL = Scope(variations=5, noise_scales=(0.0, 0.125, 0.25, 0.5, 0.75, 1.0))
 
 
 def headline_runs(scope: Scope) -> dict[tuple[str, str], list[RunSettings]]:
-    """Return the runs of all explorers in the paper's building, by explorer and noise: the same starts for all."""
+    """Return the runs of all explorers in the paper's building, by explorer and noise; all have the same starts."""
     return {
         (explorer, noise): [
             RunSettings(map=scope.building, noise=noise, random_start=True, seed=seed, **settings)
@@ -90,7 +90,7 @@ def plan_runs(scope: Scope) -> list[RunSettings]:
 
 
 def explored_runs(scope: Scope) -> dict[str, list[RunSettings]]:
-    """Return the runs, by noise, whose paths are driven again to test recognition: the extended explorer's."""
+    """Return the runs of the extended explorer, by noise, whose paths are driven again to test recognition."""
     return {
         noise: [RunSettings(map=name, preset="extended", noise=noise) for name in scope.maps]
         for noise in ("ideal", "calibrated")
@@ -98,7 +98,7 @@ def explored_runs(scope: Scope) -> dict[str, list[RunSettings]]:
 
 
 def varied_runs(scope: Scope) -> dict[tuple[str, str], list[RunSettings]]:
-    """Return the runs of the variations, by reading and choice: several starts of each."""
+    """Return the runs of the variations, by reading and choice; each has several starts."""
     return {
         (reading, choice): [
             RunSettings(map=scope.building, random_start=True, seed=seed, **settings)
@@ -110,7 +110,7 @@ def varied_runs(scope: Scope) -> dict[tuple[str, str], list[RunSettings]]:
 
 
 def noise_runs(scope: Scope) -> dict[tuple[str, float], list[RunSettings]]:
-    """Return the runs of the sweep of noise, by explorer and scale: one of each plan that has cycles."""
+    """Return the runs of the sweep of noise, by explorer and scale; there is one for each plan that has cycles."""
     return {
         (explorer, scale): [
             RunSettings(map=name, noise="poor", noise_scale=scale, **settings)
@@ -123,7 +123,7 @@ def noise_runs(scope: Scope) -> dict[tuple[str, float], list[RunSettings]]:
 
 
 def all_runs(scope: Scope) -> list[RunSettings]:
-    """Return all runs of a report, each once."""
+    """Return all runs of a report, without repetitions."""
     groups = [*headline_runs(scope).values(), plan_runs(scope), *explored_runs(scope).values()]
     groups += [*varied_runs(scope).values(), *noise_runs(scope).values()]
     return list({repr(run): run for run in itertools.chain(*groups)}.values())
@@ -155,7 +155,7 @@ def score(record: RunRecord) -> dict[str, Any]:
 
 
 def table(store: Store, runs: Mapping[Any, Sequence[RunSettings]], names: Sequence[str]) -> pd.DataFrame:
-    """Return a row for each run: the names of its key, and its scores."""
+    """Return a table with a row for each run: the parts of its key under the given names, and its scores."""
     return pd.DataFrame(
         {**dict(zip(names, key if isinstance(key, tuple) else (key,), strict=True)), **score(store.record(run))}
         for key, several in runs.items()
@@ -164,7 +164,7 @@ def table(store: Store, runs: Mapping[Any, Sequence[RunSettings]], names: Sequen
 
 
 def differences(headline: pd.DataFrame) -> pd.DataFrame:
-    """Return paired differences of `both` from `position` and `appearance` with calibrated sensors, over starts."""
+    """Return the differences of `both` from `position` and `appearance` with calibrated sensors, paired by start."""
     runs = headline[headline.noise == "calibrated"].set_index(["explorer", "seed"]).sort_index()
     rows = []
     for other, metric in itertools.product(("position", "appearance"), ("cycles_closed", "false_claims", "coverage")):
@@ -174,7 +174,7 @@ def differences(headline: pd.DataFrame) -> pd.DataFrame:
 
 
 def recognition(store: Store, scope: Scope) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Return the shares found and the groups' centres found, a row for each plan and way of searching."""
+    """Return the shares of rows and of groups' centres that are found, for each plan and way of searching."""
     shares, centres = [], []
     for noise, runs in explored_runs(scope).items():
         for run in runs:

@@ -1,4 +1,4 @@
-"""The figures of the report. Those named after figures of the paper carry their numbers."""
+"""The figures of the report. A figure that corresponds to one in the paper has the same number."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from scripts.paper.runs import RunRecord
 
 DPI = 150
 SMALL_WIDTH, SMALL_COLORS = 1000, 256
-"""Pixels and colors of the pictures in the documentation."""
+"""Pixels and colours of the pictures in the documentation."""
 RED, BLUE, ORANGE, BLACK, PURPLE = "#d43d2a", "#3c82cd", "#e2780a", "#111111", "#8c50a5"
 STYLES: dict[str, dict[str, Any]] = {
     explorer: {"color": color, "linestyle": line, "marker": marker, "markersize": 5, "capsize": 2}
@@ -37,7 +37,7 @@ STYLES: dict[str, dict[str, Any]] = {
 
 
 def save(figure: Figure, folder: Path, name: str) -> Path:
-    """Write a figure into a folder, as PNG and as PDF; return the PNG."""
+    """Write a figure to a folder as PNG and as PDF, and return the path of the PNG."""
     picture = folder / f"{name}.png"
     with atomic_write(picture.with_suffix(".pdf")) as part:
         figure.savefig(part, metadata={"CreationDate": None})
@@ -47,12 +47,12 @@ def save(figure: Figure, folder: Path, name: str) -> Path:
 
 
 def write_small(picture: Path, path: Path) -> Path:
-    """Write a picture again, small and in few colors, for the documentation; return the file."""
+    """Write a smaller copy of a picture with few colours for the documentation, and return its path."""
     with Image.open(picture) as image, atomic_write(path) as part:
         scale = min(1.0, SMALL_WIDTH / image.width)
         size = (round(scale * image.width), round(scale * image.height))
         small = image.convert("RGB").resize(size, Image.Resampling.LANCZOS)
-        few = small.quantize(SMALL_COLORS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)  # keeps rare colors
+        few = small.quantize(SMALL_COLORS, Image.Quantize.FASTOCTREE, dither=Image.Dither.NONE)  # keeps rare colours
         few.save(part, optimize=True)
     return path
 
@@ -188,7 +188,7 @@ def start(record: RunRecord) -> Figure:
 
 
 def similarity_alone(lap: SecondLap) -> Figure:
-    """Return Figure 4: the cosine distance of all points of the first lap from the query, and where it is least."""
+    """Return Figure 4: the cosine distance of all points of the first lap from the query, and the least one."""
     distances = lap.distances(MEASURES["cosine"], SECTORS)
     query, found = _near_start(lap, distances, "points")
     record, apart = lap.record, distances[query]
@@ -215,7 +215,7 @@ def similarity_alone(lap: SecondLap) -> Figure:
 
 
 def indicators_and_position(lap: SecondLap) -> Figure:
-    """Return Figure 5: what direction indicators and position leave to compare, and the row that the vote finds."""
+    """Return Figure 5: the rows that direction and position leave to compare, and the one that the vote finds."""
     distances = lap.distances(MEASURES["cosine"], SECTORS)
     query, found = _near_start(lap, distances, "direction, vote, position")
     record, n = lap.record, lap.rows
@@ -285,7 +285,7 @@ def finished_run(record: RunRecord) -> Figure:
 
 
 def growth(frame: pd.DataFrame) -> Figure:
-    """Return what a search costs as the run grows: comparisons, and median time."""
+    """Return the figure of the cost of a search as the run grows: comparisons, and median time."""
     figure = Figure((10, 3.8), layout="constrained")
     axes, times = figure.subplots(1, 2)
     bins = pd.cut(frame.path_m / 1000, 40)
@@ -304,7 +304,7 @@ def growth(frame: pd.DataFrame) -> Figure:
 
 
 def noise(frame: pd.DataFrame) -> Figure:
-    """Return scores over the scale of the noise, by explorer, with 95 % intervals over plans."""
+    """Return the figure of each explorer's scores over the scale of the noise, with 95 % intervals over plans."""
     figure = Figure((10, 3.6), layout="constrained")
     panels = {"cycles_share": "share of cycles closed", "false_claims": "false claims a run", "success": "success"}
     for axes, (metric, title) in zip(figure.subplots(1, 3), panels.items(), strict=True):

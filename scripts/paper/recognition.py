@@ -1,8 +1,8 @@
-"""Place recognition on rows that are driven twice: what each way of searching finds, against the truth.
+"""Place recognition on a path that is driven twice: what each way of searching finds, compared with the truth.
 
-A *query* is a row of the second lap, and its candidates are the rows of the first lap. An answer is right if a claim
-of it would be judged correct (`cyclic_env.task.loop_closure`). Every number is of one plan at first; intervals are
-over plans.
+A *query* is a row of the second lap, and its candidates are the rows of the first lap. An answer is right if a claim of
+it would be judged correct (`cyclic_env.task.loop_closure`). Every number is computed for single plans; intervals are
+taken over plans.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ SECTORS, BEAMS = "7 sectors", "all beams"
 NEIGHBOURS = 4
 """The paper's K."""
 NEAR = 2.5
-"""Metres in X and in Y within which a row lies near the query, as in the preset ``paper``."""
+"""A row is near the query if it lies within these metres in X and in Y, as in the preset ``paper``."""
 SEARCHES = ("points", "direction", "direction, vote", "direction, vote, position")
-"""What a query is compared with: all rows; those of its direction; these with a vote; those of them that lie near."""
+"""Ways of searching: all rows, those of the query's direction, the same with a vote, and only those of them nearby."""
 
 
 class SecondLap:
@@ -34,9 +34,9 @@ class SecondLap:
     Attributes
     ----------
     record : RunRecord
-        Of both laps.
+        The record of both laps.
     rows : int
-        Rows of a lap.
+        Number of rows of a lap.
     returns : (rows, rows) bool
         Whether query i returns to candidate j.
     """
@@ -58,7 +58,7 @@ class SecondLap:
         return np.array([measure.compare(candidates, query) for query in prepared[self.rows :]])
 
     def candidates(self, search: str) -> np.ndarray:
-        """Return which rows `(rows, rows)` a query is compared with in one of `SEARCHES`."""
+        """Return for each query which rows `(rows, rows)` one of the `SEARCHES` compares it with."""
         record, n = self.record, self.rows
         allowed = np.ones((n, n), np.bool_)
         if search != "points":
@@ -69,7 +69,7 @@ class SecondLap:
         return allowed
 
     def answers(self, distances: np.ndarray, search: str) -> tuple[np.ndarray, np.ndarray]:
-        """Return each query's answer `(rows,)`, -1 where there is no candidate, and its distance."""
+        """Return the answer to each query `(rows,)`, -1 if there is no candidate, and its distance."""
         found, least = np.full(self.rows, -1), np.full(self.rows, np.inf)
         for query, allowed in enumerate(self.candidates(search)):
             candidates = np.flatnonzero(allowed)
@@ -84,7 +84,7 @@ class SecondLap:
 
 
 def found_shares(lap: SecondLap) -> list[dict[str, Any]]:
-    """Return what share of the queries that return anywhere finds a right row, by search, vectors and measure."""
+    """Return the share of returning queries that find a right row, for each search, kind of vectors and measure."""
     back = lap.returns.any(axis=1)
     entries = []
     for vectors in (SECTORS, BEAMS):
@@ -106,9 +106,9 @@ def curve_scores(distance: np.ndarray, right: np.ndarray, returning: int) -> dic
     Parameters
     ----------
     distance, right : (q,)
-        Of the answers; an infinite distance means that there is no answer.
+        Distance of each answer, infinite if there is none, and whether it is right.
     returning : int
-        Queries that return somewhere, of which the recall is.
+        Number of queries that return anywhere, by which the recall is divided.
     """
     answered = np.isfinite(distance)
     if not right[answered].any():
@@ -122,7 +122,7 @@ def curve_scores(distance: np.ndarray, right: np.ndarray, returning: int) -> dic
 
 
 def centres_found(lap: SecondLap, measure: Measure) -> dict[str, float]:
-    """Return what share of the groups of the second lap is nearest to its own group of the first lap.
+    """Return the share of the groups of the second lap that are nearest to their own group of the first lap.
 
     A group is compared with the groups of its direction, by the mean of its features (``appearance``) or by the mean of
     its positions (``position``).

@@ -27,7 +27,7 @@ from scripts.paper.store import LIBRARIES, Store, code_version
 from scripts.paper.timing import comparison_times, search_growth
 
 GOLDEN_FIRST = range(7, 12)
-"""v of the five pairs of vectors (v, ..., v, v + 20) and (v, ..., v, v + 1, v + 1, v + 18) that give all of Table 1."""
+"""The values v for which the vectors (v, ..., v, v + 20) and (v, ..., v, v + 1, v + 1, v + 18) give all of Table 1."""
 TABLE_1 = {
     "jaccard": 0.429,
     "euclidean": 2.449,
@@ -46,7 +46,7 @@ TABLE_2 = {
     "spearman": 0.000661,
     "variation": 0.000376,
 }
-"""Seconds, as the paper has them."""
+"""The times in the paper's table, seconds."""
 
 
 def golden_pair(v: int) -> tuple[np.ndarray, np.ndarray]:
@@ -55,13 +55,13 @@ def golden_pair(v: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def table_1_of(v: int) -> dict[str, float]:
-    """Return the distances of a golden pair by measure."""
+    """Return the distance of a golden pair for each measure."""
     a, b = golden_pair(v)
     return {name: MEASURES[name].distance(a, b) for name in TABLE_1}
 
 
 def number(value: float, digits: int = 0) -> str:
-    """Return a number with so many decimals, or a dash where there is none."""
+    """Return a number with so many decimals, or a dash if it is missing."""
     return "-" if value is None or np.isnan(value) else f"{value:,.{digits}f}"
 
 
@@ -71,29 +71,29 @@ def percent(value: float, digits: int = 0) -> str:
 
 
 def verdict(text: str, holds: bool) -> str:
-    """Return a verdict in bold; if the numbers no longer bear it out, say so instead."""
+    """Return a verdict in bold, or a note that the numbers don't bear it out."""
     return f"**{text}**" if holds else f"**not borne out by these numbers** (the page says: {text})"
 
 
 @dataclass(frozen=True, kw_only=True)
 class Reproduction:
-    """What to reproduce, and where to."""
+    """A reproduction of the paper: its scope, and the folders that it writes to."""
 
     scope: Scope
     folder: Path
-    """For the report, figures, tables, and in ``cache`` what was worked out."""
+    """Folder for the report, its figures and tables, and, in ``cache``, stored results."""
     processes: int = 2
     docs: Path | None = None
-    """Folder for ``paper.md`` and small pictures, if wanted."""
+    """Folder for ``paper.md`` and small pictures, if they are wanted."""
 
     @cached_property
     def store(self) -> Store:
-        """The results that are kept."""
+        """The stored results."""
         return Store(self.folder / "cache", self.processes)
 
     @cached_property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """All tables of the report by name, worked out where they are not kept."""
+        """All tables of the report by name; results that are not stored are computed."""
         scope, store = self.scope, self.store
         by_explorer = ("explorer", "noise")
         tables = {"headline": experiments.table(store, experiments.headline_runs(scope), by_explorer)}
@@ -142,14 +142,14 @@ class Reproduction:
         return drawn | ({"noise": figures.noise(tables["noise"])} if "noise" in tables else {})
 
     def text(self, pictures: str = "") -> str:
-        """Return the report in Markdown; `pictures` is the folder of the pictures with a slash, or nothing."""
+        """Return the report in Markdown; `pictures` is empty, or the folder of the pictures with a slash."""
         loader = jinja2.FileSystemLoader(Path(__file__).with_name("templates"))
         environment = jinja2.Environment(loader=loader, undefined=jinja2.StrictUndefined, keep_trailing_newline=True)
         environment.globals |= {"number": number, "percent": percent, "verdict": verdict}
         return environment.get_template("paper.md.j2").render(pictures=pictures, **self._numbers())
 
     def _numbers(self) -> dict[str, Any]:
-        """Return what the template reads."""
+        """Return the variables of the template."""
         tables, scope = self.tables, self.scope
         versions = {"code": code_version(), "Python": platform.python_version()}
         times = tables["times"].set_index("measure")
@@ -181,13 +181,13 @@ class Reproduction:
 
 
 class Cells:
-    """Means with intervals of a table's metrics, for the rows of one key.
+    """Means of a table's metrics, with intervals, over the rows with the same key.
 
     Parameters
     ----------
     frame : DataFrame
     by : tuple of str
-        Columns that make a key.
+        The columns that form the key.
     """
 
     def __init__(self, frame: pd.DataFrame, by: tuple[str, ...]) -> None:
@@ -195,7 +195,7 @@ class Cells:
         self._by = by
 
     def rows(self, *key: Any) -> pd.DataFrame:
-        """Return the rows of a key."""
+        """Return the rows with a key."""
         return self._frame.loc[np.logical_and.reduce([self._frame[c] == k for c, k in zip(self._by, key, strict=True)])]
 
     def mean(self, metric: str, *key: Any) -> float:
@@ -222,9 +222,9 @@ class Cells:
 
 
 def over_cosine(recognition: pd.DataFrame) -> dict[tuple[str, str], Any]:
-    """Return paired differences over plans of each measure's average precision from cosine's, by vectors and measure.
+    """Return how much each measure's average precision differs from cosine's, paired by plan; by vectors and measure.
 
-    Rows of the same direction, calibrated sensors.
+    The search compares rows of the same direction, with calibrated sensors.
     """
     rows = recognition[(recognition.search == "direction") & (recognition.noise == "calibrated")]
     wide = rows.pivot_table(index="map", columns=["vectors", "measure"], values="average_precision")

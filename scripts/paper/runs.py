@@ -23,12 +23,12 @@ BEAM_ROUNDING = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSettings:
-    """Everything that a run depends on besides the code."""
+    """The settings of a run: everything that it depends on besides the code."""
 
     map: str = "killian_court"
     preset: str = "paper"
     changes: Mapping[str, Any] = field(default_factory=dict)
-    """Fields of the preset that differ."""
+    """Fields of the preset that are changed."""
     noise: str = "ideal"
     noise_scale: float = 1.0
     """Factor on all standard deviations and rates of the noise preset."""
@@ -45,7 +45,7 @@ class RunSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunRecord:
-    """What is kept of a run. Its n rows are in the order in which they were added."""
+    """The record of a run. Its n rows are in the order in which they were added."""
 
     settings: RunSettings
     metrics: dict[str, Any]
@@ -88,7 +88,7 @@ def scaled_noise(name: str, scale: float) -> NoiseConfig:
 
 
 def run_explorer(settings: RunSettings) -> RunRecord:
-    """Run one episode to its end; an explorer whose list of open areas is empty stands still for the rest of it."""
+    """Run one episode to its end; an explorer with no open areas left stands still for the rest of it."""
     policy = KnnPolicy(settings.config)
     env = CyclicLoopEnv(
         settings.map,
@@ -142,16 +142,16 @@ def _record(
 
 
 def drive_again(record: RunRecord, laps: int = 2) -> RunRecord:
-    """Return a run whose path is driven again and again, in the same directions, with new scans.
+    """Return the record of a run whose path is driven several times, in the same directions, with new scans.
 
-    The rows of a further lap lie up to half a row spacing before or after those of the first one. Scans are of the
-    noise of the run, groups of a further lap have numbers of their own, and no claims are made.
+    The rows of a further lap lie up to half a row spacing before or after those of the first one. Scans have the noise
+    of the run, the groups of a further lap have numbers of their own, and no claims are made.
 
     Parameters
     ----------
     record : RunRecord
     laps : int
-        In all.
+        Number of laps, including the first.
     """
     settings, config = record.settings, record.settings.config
     rng = np.random.default_rng(settings.seed)

@@ -1,4 +1,4 @@
-"""A folder that keeps the results of slow work, and the processes that do what is missing."""
+"""A folder that keeps the results of slow computations, and processes that compute those that are missing."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scripts.paper.runs import RunRecord, RunSettings, run_explorer
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = ("agents/knn/*", "agents/slam/*.py", "agents/exploration/*.py", "cyclic_env/**/*.py", "maps/*.yaml")
-"""Files that results depend on, as patterns below the root."""
+"""Patterns of the files, below the root, that results depend on."""
 LIBRARIES = ("numpy", "scipy", "numba", "pymunk", "shapely")
 
 
@@ -38,13 +38,13 @@ def _run(settings: RunSettings, code: str) -> RunRecord:
 
 
 class Store:
-    """Results by what they depend on: the arguments and the code.
+    """Stored results, found by what they depend on: the arguments and the code.
 
     Parameters
     ----------
     folder : Path
     processes : int
-        Most runs at once.
+        Greatest number of runs at once.
     """
 
     def __init__(self, folder: Path, processes: int = 2) -> None:
@@ -53,20 +53,20 @@ class Store:
         self.processes = processes
 
     def record(self, settings: RunSettings) -> RunRecord:
-        """Return the record of a run, which is run unless it is there."""
+        """Return the record of a run, which takes place only if no record is stored."""
         return self._run(settings, code_version())
 
     def result(self, work: Callable[..., Any], *arguments: Any) -> Any:
-        """Return what a module's function returns for arguments, worked out unless it is there."""
+        """Return the result of a module's function, which is called only if no result for the arguments is stored."""
         return self._memory.cache(work)(*arguments)
 
     def missing(self, runs: Sequence[RunSettings]) -> list[RunSettings]:
-        """Return the runs whose records are not there."""
+        """Return the runs without a stored record."""
         code = code_version()
         return [settings for settings in runs if not self._run.check_call_in_cache(settings, code)]
 
     def run_all(self, runs: Sequence[RunSettings]) -> None:
-        """Run what is missing, several at once, with progress on stderr. Finished runs survive an interrupt."""
+        """Run those without a record, several at once, and show progress; finished runs survive an interruption."""
         code, left = code_version(), self.missing(runs)
         with (
             parallel_config("loky", n_jobs=self.processes, initializer=_ignore_interrupts),

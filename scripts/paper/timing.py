@@ -1,4 +1,4 @@
-"""How long comparisons take: one pair, many rows at once, and points against groups as a run grows."""
+"""The times of comparisons: of one pair, of many rows at once, and of points and groups as a run grows."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from scripts.paper.recognition import NEIGHBOURS
 from scripts.paper.runs import RunRecord, drive_again
 
 ROWS = 10_000
-"""Rows that one query is compared with: a run of 10 km."""
+"""Number of rows that a query is compared with: those of a run of 10 km."""
 SKLEARN = ("euclidean", "cityblock", "chebyshev", "cosine", "correlation")
-"""Measures that scikit-learn's brute-force neighbours define as we do."""
+"""Measures that scikit-learn's brute-force neighbours define in the same way."""
 EVERY = 5
-"""Every so many rows one asks, for the growth of the search."""
+"""Every fifth row is a query when the growth of the search is measured."""
 
 
 def median_seconds(work: Callable[[], Any], repeats: int, batch: int) -> float:
-    """Return the median time of one call of `work` over `repeats` batches, seconds."""
+    """Return the median time of a call of `work`, seconds, over `repeats` batches of calls."""
     work()
     times = np.empty(repeats)
     for k in range(repeats):
@@ -36,10 +36,10 @@ def median_seconds(work: Callable[[], Any], repeats: int, batch: int) -> float:
 
 
 def comparison_times(record: RunRecord, repeats: int) -> pd.DataFrame:
-    """Return for each measure the seconds of one pair, of a query against `ROWS` rows, and of scikit-learn's search.
+    """Return the seconds that each measure takes for a pair, for a query of `ROWS` rows, and in scikit-learn's search.
 
-    Everything but the query is prepared beforehand, as it is when a row is stored; scikit-learn's search is fitted. All
-    run on one thread.
+    Everything but the query is prepared beforehand, as it is when a row is stored, and scikit-learn's search is fitted.
+    All run on one thread.
     """
     features = record.features[:, 0].astype(np.float64)
     rows = np.resize(features, (ROWS, features.shape[1]))
@@ -61,10 +61,10 @@ def comparison_times(record: RunRecord, repeats: int) -> pd.DataFrame:
 
 
 def search_growth(record: RunRecord, laps: int) -> pd.DataFrame:
-    """Return what a search by cosine costs as a run grows: comparisons and seconds of every `EVERY`th row's query.
+    """Return the cost of a search by cosine as a run grows: the comparisons and the seconds of each query.
 
-    The run's path is driven `laps` times. ``points`` compares all earlier rows, ``direction`` those of the direction's
-    earlier groups, ``groups`` the centres of these groups.
+    The path is driven `laps` times. ``points`` compares all earlier rows, ``direction`` those of earlier groups of
+    the same direction, and ``groups`` the centres of these groups.
     """
     again, measure = drive_again(record, laps), MEASURES["cosine"]
     features = again.features[:, 0].astype(np.float64)
@@ -79,7 +79,7 @@ def search_growth(record: RunRecord, laps: int) -> pd.DataFrame:
         tables = np.flatnonzero((groups < again.group[i]) & (again.direction[first] == direction))
         if not len(tables):
             continue
-        # Rows that are compared lie in one piece, as they do in a table.
+        # The rows to compare are contiguous in memory, as they are in a table.
         pools = {"points": rows[:i], "direction": rows[earlier], "groups": centres[tables]}
         entry = {"path_m": again.path[i]}
         for name, pool in pools.items():

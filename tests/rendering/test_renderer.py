@@ -71,7 +71,7 @@ def frame_of(env: CyclicLoopEnv) -> np.ndarray:
 
 
 def count_near(frame: np.ndarray, color: tuple[int, int, int], place: Any, radius: int = 5) -> int:
-    """Count the pixels of about that color around a place (column, row)."""
+    """Count the pixels of about that colour around a place (column, row)."""
     column, row = np.round(place).astype(int)
     part = frame[row - radius : row + radius + 1, column - radius : column + radius + 1].astype(int)
     return int((np.abs(part - np.array(color)).max(axis=-1) < 12).sum())
@@ -153,7 +153,7 @@ def test_frames_share_no_memory(env: CyclicLoopEnv) -> None:
 
 
 def colors_at(env: CyclicLoopEnv, position: Any) -> tuple[int, int]:
-    """Count the pixels in the colors of right and of wrong claims around a position of the world."""
+    """Count the pixels in the colours of right and of wrong claims around a position of the world."""
     frame, place = frame_of(env), scene(env).view.pixels(position)
     return count_near(frame, RIGHT, place), count_near(frame, WRONG, place)
 

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from agents.knn.config import preset
 from agents.knn.policy import KnnPolicy
 from agents.slam.se2 import relative
 from cyclic_env import CyclicLoopEnv, replay
@@ -161,11 +162,11 @@ def test_an_explorer_with_nothing_left_to_explore_stands_for_the_rest_of_the_epi
         return action, state
 
     monkeypatch.setattr(KnnPolicy, "predict", content)
-    assert run_knn.main(["--map", "ring", "--no-gif", "--out", str(tmp_path)]) == 0
+    assert run_knn.main(["--map", "ring", "--preset", "paper", "--no-gif", "--out", str(tmp_path)]) == 0
     metrics = json.loads((tmp_path / "metrics.json").read_text())
     assert (metrics["stopped_at"], metrics["ending"]) == (10, "step budget spent")
     assert metrics["path_length_m"] < 3
-    (episode,) = evaluate(KnnPolicy(), map_name="ring", seeds=[0]).episodes
+    (episode,) = evaluate(KnnPolicy(preset("paper")), map_name="ring", seeds=[0]).episodes
     assert [metrics[name] for name in ("steps", "return")] == [episode["steps"], pytest.approx(episode["return"])]
     assert metrics["reward_terms"] == pytest.approx(episode["reward_terms"])
 
