@@ -1,4 +1,4 @@
-"""A grid around the robot, drawn from the scans nearby, and the cheapest paths over it."""
+"""A costmap: a grid around the robot, drawn from the scans nearby, and the cheapest paths over it."""
 
 from __future__ import annotations
 
@@ -15,33 +15,33 @@ from cyclic_env.jit import compiled
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CostmapConfig(ComponentConfig):
-    """The grid, and what a metre costs where; lengths in metres."""
+    """The size of the grid, and what a metre costs where; lengths in metres."""
 
     cell: float = 0.2
-    """Less than the robot's radius, so that a doorway is some cells wide."""
+    """Side of a cell; less than the robot's radius, so that a doorway is several cells wide."""
     cells: int = 128
-    """To a side: a little more than the laser's reach to all sides."""
+    """Number of cells along a side; the grid extends a little beyond the laser's reach."""
     beam_step: float = 0.7
-    """Cells between the points of a beam that are marked as free."""
+    """Distance between the points of a beam that are marked as free, in cells."""
     beam_margin: float = 0.1
-    """How far before its endpoint a beam is no more marked as free."""
+    """Length at the end of a beam that is not marked as free."""
     wall_depth: float = 0.05
-    """How far behind an endpoint the wall's cell is: the surface is the near side of the wall."""
+    """Distance from an endpoint, on the wall's surface, to the point inside the wall whose cell is marked."""
     passes_per_hit: int = 3
-    """Beams that pass a cell for each that ends in it, from which these ends are taken for noise."""
+    """Number of beams that must pass a cell for each that ends in it, for the ends to be taken for noise."""
     clearance: float = 0.28
-    """Distance between the centers of a cell that the robot may be in and one with a wall: its radius, and some air."""
+    """Least distance between the centres of the robot's cell and of a wall's: the robot's radius and a margin."""
     comfort: float = 0.7
-    """Distance from walls up to which a path costs more, so that it keeps to the middle."""
+    """Distance from walls within which a path costs more, so that it keeps to the middle of corridors."""
     comfort_cost: float = 1.5
-    """How much more, at a wall."""
+    """Additional cost of a metre right at a wall."""
     driven_cost: float = 3.0
-    """Of a metre where the robot has been, whatever scans say of walls there: it always knows the way that it came."""
+    """Greatest cost of a metre where the robot has driven, whatever scans show there, so that it can always go back."""
     escape_cells: int = 2
     escape_cost: float = 10.0
-    """If the robot is where it can't be, it gets out within so many cells, at this cost of a metre."""
+    """If the robot is in forbidden cells, it may leave through this many of them, at this cost per metre."""
     end_radius: float = 0.7
-    """Distance from a point to the end of a path to it: the point may be by a wall."""
+    """Greatest distance from a point to the end of a path to it, since the point may be close to a wall."""
 
 
 CostmapValues = kernel_tuple("CostmapValues", CostmapConfig, __name__)
@@ -52,15 +52,15 @@ class Grid(NamedTuple):
 
     corner: np.ndarray
     passes: np.ndarray
-    """Beams that cross each cell."""
+    """Number of beams that cross each cell."""
     hits: np.ndarray
-    """Beams that end in it."""
+    """Number of beams that end in each cell."""
     cost: np.ndarray
-    """Of a metre; inf where the robot can't be."""
+    """Cost of a metre in each cell; inf where the robot can't be."""
     costs_to_go: np.ndarray
-    """Of the cheapest path from where the paths begin."""
+    """Cost of the cheapest path to each cell from where the paths begin."""
     predecessors: np.ndarray
-    """The cell before each on that path, as a flat index; -1 where there is none."""
+    """The cell before each cell on that path, as a flat index; -1 if there is none."""
 
 
 @compiled
@@ -95,7 +95,7 @@ def draw_scans(grid, scans, range_max, poses, values):
 
 @compiled
 def inflate(grid, values):
-    """Write the cost of each cell: free where beams have passed, dearer near walls, inf at walls and where unseen."""
+    """Write the cost of each cell: 1 where beams have passed, more near walls, inf at walls and in unseen cells."""
     passes, hits, cost, cells = grid.passes, grid.hits, grid.cost, grid.passes.shape[0]
     reach = int(values.comfort / values.cell) + 1
     for i in range(cells):
@@ -103,7 +103,7 @@ def inflate(grid, values):
             cost[i, j] = 1.0 if passes[i, j] > 0 else math.inf
     for i in range(cells):
         for j in range(cells):
-            # A beam that grazes a wall passes its cells, too; a stray end in free space is noise.
+            # Beams that graze a wall also pass its cells, but few ends among many passes are noise in free space.
             if hits[i, j] == 0 or (values.passes_per_hit * hits[i, j] < passes[i, j]):
                 continue
             for a in range(max(0, i - reach), min(cells, i + reach + 1)):
@@ -118,7 +118,7 @@ def inflate(grid, values):
 
 @compiled
 def clear_driven(grid, legs, values):
-    """Let the robot be wherever it has driven: on straight legs `(n, 2, 2)`, metres."""
+    """Bound the cost where the robot has driven, along straight legs `(n, 2, 2)`, metres."""
     cells, left, bottom = grid.cost.shape[0], grid.corner[0], grid.corner[1]
     for k in range(legs.shape[0]):
         x, y = (legs[k, 0, 0] - left) / values.cell, (legs[k, 0, 1] - bottom) / values.cell
@@ -134,8 +134,8 @@ def clear_driven(grid, legs, values):
 def cost_to_go(grid, starts, queue, waiting, values):
     """Write the cost of the cheapest path from any of the starts to each cell, and the cell before it on that path.
 
-    `starts` `(n,)` are flat indices; from the first one, where the robot is, it may escape. `queue` `(cells**2,)` and
-    `waiting` `(cells, cells)` are scratch.
+    `starts` `(n,)` are flat indices. The first one is the robot's cell, around which it may cross forbidden cells.
+    `queue` `(cells**2,)` and `waiting` `(cells, cells)` are scratch space.
     """
     cost, costs_to_go, predecessors = grid.cost, grid.costs_to_go, grid.predecessors
     cells = cost.shape[0]
@@ -180,7 +180,7 @@ def cost_to_go(grid, starts, queue, waiting, values):
 def costs_near(grid, points, costs, ends, values):
     """Write the least cost of a path that ends near each point `(n, 2)`, given in cells, and that path's last cell.
 
-    The rest of the way, as the crow flies, counts double: nearer ends are better ones.
+    The straight rest of the way to the point counts double, so that nearer ends are preferred.
     """
     costs_to_go, cells = grid.costs_to_go, grid.cost.shape[0]
     reach = int(values.end_radius / values.cell)
@@ -195,7 +195,7 @@ def costs_near(grid, points, costs, ends, values):
 
 
 class Costmap:
-    """The grid, drawn anew around the robot whenever it is asked for.
+    """A costmap, drawn anew around the robot whenever a path is needed.
 
     Parameters
     ----------
@@ -225,10 +225,10 @@ class Costmap:
         Parameters
         ----------
         pose : (3,)
-            Or only a position, `(2,)`.
+            The pose; a position `(2,)` suffices.
         scans, poses : (n, beams) and (n, 3)
         legs : (m, 2, 2)
-            Straight pieces of the way that the robot has driven, metres.
+            Straight pieces of the path that the robot has driven, metres.
         """
         grid, values = self._grid, self._values
         grid.corner[:] = pose[:2] - self.config.cells * self.config.cell / 2
@@ -240,38 +240,38 @@ class Costmap:
         self.find_paths(np.array([(self.config.cells + 1) * (self.config.cells // 2)]))
 
     def find_paths(self, starts: np.ndarray, *, escape: bool = True) -> None:
-        """Find the paths from cells, given as flat indices `(n,)`; the robot may escape from the first one."""
+        """Find the paths from cells, flat indices `(n,)`; `escape` allows forbidden cells around the first one."""
         values = self._values if escape else self._values._replace(escape_cells=0)
         cost_to_go(self._grid, starts, self._queue, self._waiting, values)
 
     @property
     def cost(self) -> np.ndarray:
-        """Of a metre, for each cell, `(cells, cells)`; inf where the robot can't be."""
+        """The cost of a metre in each cell, `(cells, cells)`; inf where the robot can't be."""
         return self._grid.cost
 
     @property
     def costs_to_go(self) -> np.ndarray:
-        """Of the paths to each cell, `(cells, cells)`; inf where none is known."""
+        """The costs of the paths to all cells, `(cells, cells)`; inf if no path is known."""
         return self._grid.costs_to_go
 
     def cells_at(self, points: np.ndarray) -> np.ndarray:
-        """Return the cells at points `(n, 2)`, as flat indices `(n,)`; the nearest ones for points off the grid."""
+        """Return the cells of points `(n, 2)` as flat indices `(n,)`; points off the grid have the nearest cell."""
         columns, rows = np.clip((points - self._grid.corner) // self.config.cell, 0, self.config.cells - 1).T
         return (rows * self.config.cells + columns).astype(np.int64)
 
     def centers(self, cells: np.ndarray) -> np.ndarray:
-        """Return the centers `(n, 2)` of cells, given as flat indices `(n,)`."""
+        """Return the centres `(n, 2)` of cells, given as flat indices `(n,)`."""
         columns, rows = cells % self.config.cells, cells // self.config.cells
         return np.column_stack([columns, rows]) * self.config.cell + (self._grid.corner + self.config.cell / 2)
 
     def costs_to(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the costs `(n,)` of the paths to points `(n, 2)`, inf where none is known, and their last cells."""
+        """Return the costs `(n,)` of the paths to points `(n, 2)`, inf if no path is known, and their last cells."""
         costs, ends = np.empty(len(points)), np.empty(len(points), np.int64)
         costs_near(self._grid, (points - self._grid.corner) / self.config.cell, costs, ends, self._values)
         return costs, ends
 
     def path_to(self, cell: int) -> np.ndarray:
-        """Return the centers `(m, 2)` of the cells on the path to a cell, given as a flat index, the robot's first."""
+        """Return the centres `(m, 2)` of the cells on the path to a cell, a flat index, from the robot's on."""
         cells, path = self.config.cells, [cell]
         while self._grid.predecessors[path[-1] // cells, path[-1] % cells] >= 0:
             path.append(self._grid.predecessors[path[-1] // cells, path[-1] % cells])

@@ -1,4 +1,4 @@
-"""Where to go next, the path there, and how to drive along it."""
+"""The planner: it chooses where to go next, finds the path there, and drives along it."""
 
 from __future__ import annotations
 
@@ -19,61 +19,63 @@ from cyclic_env.jit import compiled
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PlannerConfig(ComponentConfig):
-    """Choice of the goal, patience with it, and steering; lengths in metres."""
+    """Settings of the choice of the goal, of the patience with it, and of steering; lengths in metres."""
 
     turn_cost: float = 1.5
-    """Metres of path that a radian of turning is worth, so that the robot goes on rather than back."""
+    """Metres of path that a radian of turning costs, so that the robot prefers to go on rather than back."""
     doubtful_cost: float = 6.0
-    """By which a doubtful opening is put off: it is mostly a wall, and seen to be one in passing."""
+    """Additional cost of a doubtful opening, since most of these turn out to be walls in passing."""
     unconfirmed_cost: float = 60.0
-    """By which an unconfirmed one is: it comes when all else within a loop's length is done."""
+    """Additional cost of an unconfirmed opening, so that all others within a loop's length come first."""
     off_map_cost: float = 3.0
-    """By which a goal off the costmap is."""
+    """Additional cost of a goal off the costmap."""
     switch_share: float = 0.4
     switch_gain: float = 2.0
-    """Another goal must cost less than this share of the one at hand, by so many metres more: no dithering."""
+    """Another goal replaces the present one only if it costs less than this share of it, plus this many metres, so that
+    the robot does not dither."""
     same_point: float = 0.3
-    """Distance within which an open point is the goal that was chosen before."""
+    """Distance within which an open point is identified with the present goal."""
     same_goal: float = 0.5
-    """Distance within which a new goal is the old one, which patience is lost with."""
+    """Distance within which a new goal counts as the old one, so that the time without progress runs on."""
     progress: float = 0.5
-    """Metres of path that are progress."""
+    """Decrease of the cost, metres, that counts as progress."""
     patience: float = 9.0
     """Seconds without progress after which a goal is given up."""
     hesitation: float = 4.0
-    """Seconds without progress after which the robot turns off its path as far as it takes."""
+    """Seconds without progress after which the robot may turn off its path by any angle."""
     map_reach: float = 12.0
     """Distance from the robot within which keyframes' scans are drawn on the costmap."""
     map_scans: int = 20
-    """Scans drawn, at most."""
+    """Greatest number of scans on the costmap."""
     arrival: float = 0.8
     """Distance from a goal at which the robot looks around."""
     half_width: float = 0.31
-    """Of the robot, and a little air."""
+    """Half of the width that the robot needs: its radius and a margin."""
     lookahead: float = 3.0
-    """Length of the path that the robot cuts short, at most; more would cut corners that the path goes round."""
+    """Greatest length of path that the robot cuts short; more would cut the corners that the path goes around."""
     passed: float = 0.6
-    """Distance from a point of its path at which the robot makes for the next."""
+    """Distance from a point of its path at which the robot heads for the next point."""
     target_clearance: float = 0.3
     """How far beyond the clear part of a beam a point of the path may lie."""
     avoidance: float = math.radians(60)
-    """By which the robot turns off its path for what is too near to it, at most."""
+    """Greatest angle by which the robot turns off its path to avoid an obstacle."""
     clear_ahead: float = 1.0
     clear_ahead_min: float = 0.5
-    """Metres that must be clear where it drives; and if they are nowhere, at least."""
+    """Length that must be clear where the robot drives; and the length that suffices if no bearing has the first."""
     turn_gain: float = 1.6
     turn_max: float = 0.8
-    """Share of the full turning rate for each radian off the path, up to 1; and the most that is asked for."""
+    """Share of `turn_max` for each radian off the path, up to 1; and the greatest share of the full turning rate."""
     turn_on_spot: float = 1.2
-    """Bearing of the path from which the robot turns on the spot."""
+    """Bearing of the path beyond which the robot turns on the spot."""
     slow_from: float = 0.8
     stop_at: float = 0.3
     slow_min: float = 0.15
-    """The robot slows down over these metres before what is ahead, from full speed to this share of it."""
+    """The robot slows down over `slow_from` metres until it is `stop_at` metres from an obstacle ahead, to no less than
+    the share `slow_min` of full speed."""
 
 
 class Planner:
-    """The goal of the moment, the path to it, and the patience with it.
+    """Holds the present goal, the path to it, and the patience with it.
 
     Parameters
     ----------
@@ -86,9 +88,9 @@ class Planner:
     Attributes
     ----------
     goal : (2,) float64 or None
-        In the frame of the track.
+        The goal in the frame of the track.
     path : (m, 2) float64
-        The points that are left of the path to it.
+        The remaining points of the path to the goal.
     """
 
     def __init__(self, beams: int, dt: float, costmap: Costmap, config: PlannerConfig | None = None) -> None:
@@ -100,11 +102,11 @@ class Planner:
         self._costmap = costmap
         self._clear = np.zeros(beams)
         self._on_map = False
-        self._best_cost = math.inf  # when there was progress last
+        self._best_cost = math.inf  # of the goal, at the last progress
         self._steps_stuck = 0
 
     def squeeze(self, config: PlannerConfig, costmap: Costmap) -> None:
-        """Drive by other settings and over another costmap from now on, with the same patience."""
+        """Use other settings and another costmap from now on; the patience stays."""
         self.config, self._costmap = config, costmap
 
     def select_goal(
@@ -116,7 +118,7 @@ class Planner:
         paths: Paths,
         order: np.ndarray | None = None,
     ) -> None:
-        """Choose a point to go to: the one at hand, or the cheapest if that is gone or costs far more.
+        """Choose a point to go to: the present goal, or the cheapest point if the goal is gone or costs far more.
 
         Parameters
         ----------
@@ -124,11 +126,11 @@ class Planner:
         scan : (beams,)
         keyframes : Keyframes
         goals : Frontiers or Survey
-            With the points to choose from.
+            The points to choose from.
         paths : Paths
-            From the last keyframe.
+            The paths from the last keyframe.
         order : (m,), optional
-            Only points of the least value are chosen from; inf for those that are out of the question.
+            Only points with the least value may be chosen; inf excludes a point.
         """
         points = goals.points(keyframes)
         if not len(points) or (order is not None and not np.isfinite(order).any()):
@@ -146,7 +148,7 @@ class Planner:
             self._best_cost, self._steps_stuck = float(costs[best]), 0
         goal = self.goal = points[best]
         if kept and self._on_map and not on_map[best] and len(self.path):
-            return  # the path is known, though its end is off the map now
+            return  # keep the path, although its end is off the map now
         self._on_map = bool(on_map[best])
         if self._on_map:
             self.path = self._costmap.path_to(int(ends[best]))
@@ -174,7 +176,7 @@ class Planner:
         return costs, ends, on_map
 
     def _keep_or_switch(self, points: np.ndarray, costs: np.ndarray) -> int:
-        """Return the point to go to: that of the goal at hand, unless another costs far less."""
+        """Return the index of the point to go to: that of the present goal, unless another costs far less."""
         best = int(np.argmin(costs))
         if self.goal is None:
             return best
@@ -186,7 +188,7 @@ class Planner:
         return mine if dearer else best
 
     def _path_along(self, spots: np.ndarray) -> np.ndarray:
-        """Return the path `(m, 2)` along positions of keyframes `(n, 2)`, over the costmap as far as it goes."""
+        """Return the path `(m, 2)` along positions of keyframes `(n, 2)`, over the costmap as far as it extends."""
         driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(spots, axis=0).T))])
         costs, ends = self._costmap.costs_to(spots)
         on_map = np.flatnonzero((driven < self.config.map_reach) & np.isfinite(costs))
@@ -195,7 +197,7 @@ class Planner:
         return np.vstack([self._costmap.path_to(int(ends[on_map[-1]])), spots[on_map[-1] + 1 :]])
 
     def _draw(self, pose: np.ndarray, scan: np.ndarray, keyframes: Keyframes, geodesic_m: np.ndarray) -> None:
-        """Draw the costmap from the scans nearby: every second one of the nearest, and the one of now."""
+        """Draw the costmap from the present scan and from every second one of the nearest keyframes' scans."""
         config = self.config
         euclidean_m = euclidean_distances(keyframes.pose, pose)
         near = np.flatnonzero((euclidean_m < config.map_reach) & keyframes.is_direct(geodesic_m, euclidean_m))
@@ -221,7 +223,7 @@ class Planner:
         self.goal, self._best_cost, self._steps_stuck = None, math.inf, 0
 
     def steer(self, pose: np.ndarray, scan: np.ndarray) -> tuple[float, float]:
-        """Return speed and turning rate along the path, as shares of the full ones."""
+        """Return speed and turning rate along the path, as shares of the greatest ones."""
         if self.goal is None:
             return 0.0, 0.0
         self._steps_stuck += 1
@@ -237,7 +239,7 @@ class Planner:
 def look_ahead(path, pose, clear, lookahead, clearance, passed):
     """Return the farthest point of a path `(m, 2)` to which the way is clear, its bearing and its distance.
 
-    Points that the robot has reached are passed over; where no way is clear, the first point is taken.
+    Points that the robot has reached are skipped. If the way to no point is clear, the first point is taken.
     """
     spacing = 2 * math.pi / clear.shape[0]
     target = 0
@@ -259,25 +261,25 @@ def look_ahead(path, pose, clear, lookahead, clearance, passed):
 def steer_to(
     clear: np.ndarray, bearing: float, distance: float, avoidance: float, config: PlannerConfig
 ) -> tuple[float, float]:
-    """Return speed and turning rate, as shares of the full ones, towards a point that may be behind something.
+    """Return speed and turning rate, as shares of the greatest ones, towards a point that may be behind an obstacle.
 
     Parameters
     ----------
     clear : (beams,)
-        As from `clear_lengths`.
+        Clear length along each beam, metres, as `clear_lengths` writes it.
     bearing, distance : float
-        Of the point, radians and metres.
+        Bearing and distance of the point, radians and metres.
     avoidance : float
-        Radians by which to turn aside, at most, for what is too near.
+        Greatest angle by which to turn aside for an obstacle, radians.
     config : PlannerConfig
     """
     for need in (min(config.clear_ahead, distance), config.clear_ahead_min):
         free = clear_beam(clear, bearing, need)
-        if abs(wrap_angle(free - bearing)) <= avoidance:  # else, as between door posts, the path is trusted
+        if abs(wrap_angle(free - bearing)) <= avoidance:  # otherwise, as between door posts, follow the path
             bearing = wrap_angle(free)
             break
     turn = max(-1.0, min(1.0, config.turn_gain * bearing))
-    # Turn on the spot when the path is off to the side or behind, and slow down for what is ahead.
+    # Turn on the spot when the path leads aside or back, and slow down for an obstacle ahead.
     speed = math.cos(bearing) ** 4 if abs(bearing) < config.turn_on_spot else 0.0
     slowed = min(1.0, max(config.slow_min, (clear[0] - config.stop_at) / config.slow_from))
     return speed * slowed, config.turn_max * turn

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 import shapely
 
-from cyclic_env.errors import ConfigError
 from cyclic_env.rendering.colors import AMBER, BEAM, FAINT, FLOOR, INK, PATH_NEW, PATH_OLD, RIGHT, SEEN, WRONG
 from cyclic_env.rendering.primitives import (
     LABEL_SIZE,
@@ -37,12 +36,9 @@ from cyclic_env.rendering.primitives import (
 from cyclic_env.rendering.scene import MARGIN, SCORE_LINE, Scene, canvas_size, draw_building, scene_of
 from cyclic_env.rendering.snapshot import RobotSnapshot
 from cyclic_env.rendering.window import Window
-from cyclic_env.validation import unknown_name
 
 if TYPE_CHECKING:
     from cyclic_env.engine.engine import Engine
-
-RENDER_MODES = ("human", "rgb_array")
 
 PATH_SPACING = 4.0
 """Pixels between the drawn points of the path."""
@@ -77,12 +73,10 @@ class Renderer:
     Raises
     ------
     ConfigError
-        If the render mode is unknown, pygame is missing, or there is no display for a window.
+        If there is no display for a window.
     """
 
     def __init__(self, render_mode: str, fps: int) -> None:
-        if render_mode not in RENDER_MODES:
-            raise ConfigError(unknown_name("render mode", render_mode, RENDER_MODES))
         self.render_mode = render_mode
         self._fps = fps
         self._window: Window | None = None

@@ -8,7 +8,6 @@ import multiprocessing
 import pickle
 import warnings
 from typing import Any
-from unittest.mock import Mock
 
 import gymnasium
 import numpy as np
@@ -207,23 +206,6 @@ def test_a_plan_that_does_not_suit_is_refused_by_the_reset_that_draws_it(monkeyp
         env.step(actions)  # the running episode goes on
         env.reset(seed=seed)
         env.step(actions)
-
-
-def test_an_autoreset_that_draws_a_plan_that_does_not_suit_leaves_the_env_usable(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    env = CyclicLoopVectorEnv(2, ["ring", "generated:train"], step_budget=2, autoreset_mode="SAME_STEP")
-    seed = next(seed for seed in range(5000) if np.random.default_rng(seed).integers(257) == 0)
-    env.reset(seed=[seed, seed])
-    actions = np.zeros((2, 4))
-    env.step(actions)
-    with monkeypatch.context() as patch:
-        patch.setattr(cyclic_env.FloorPlan, "reachable", Mock(side_effect=cyclic_env.FloorPlanError("too narrow")))
-        with pytest.raises(cyclic_env.FloorPlanError, match="too narrow"):
-            env.step(actions)
-    env.step(actions)
-    env.reset(seed=[seed, seed])
-    env.step(actions)
 
 
 def test_start_option_and_random_start_are_obeyed() -> None:

@@ -242,11 +242,6 @@ def test_free_space_is_one_polygon(polygon: Polygon) -> None:
         FloorPlan("p", polygon, (1, 1, 0))
 
 
-def test_free_space_that_crosses_itself_is_refused() -> None:
-    with pytest.raises(FloorPlanError, match="not a proper polygon"):
-        FloorPlan("p", Polygon([(0, 0), (9, 9), (9, 0), (0, 9)]), (1, 1, 0))
-
-
 @pytest.mark.parametrize("start", [None, (1, 1), (1, 1, float("nan")), ("x", 1, 0)])
 def test_a_start_is_three_finite_numbers(start: tuple[float, float, float]) -> None:
     with pytest.raises(FloorPlanError, match="start must be finite"):

@@ -51,11 +51,6 @@ def test_path_is_drawn_from_start_to_end(axes: Axes) -> None:
     assert labels(axes) == ["path (darker: later)", "start", "end"]
 
 
-def test_path_of_one_place_is_a_start(axes: Axes) -> None:
-    draw_path(axes, WAY[:1], by_time=False)
-    assert labels(axes) == ["path", "start", "end"]
-
-
 def test_claims_are_told_apart_and_lead_to_the_places_they_named(axes: Axes) -> None:
     claims = np.array([(1, 0, True, False), (2, -1, False, False), (3, 1, False, False), (4, 0, True, True)], CLAIM)
     draw_claims(axes, WAY, claims)

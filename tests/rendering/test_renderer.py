@@ -146,12 +146,6 @@ def test_frame_does_not_depend_on_the_frames_before(env: CyclicLoopEnv) -> None:
     assert np.array_equal(frame_of(env), frame_of(other))
 
 
-def test_frames_share_no_memory(env: CyclicLoopEnv) -> None:
-    first, second = frame_of(env), frame_of(env)
-    first[:] = 0
-    assert second.any()
-
-
 def colors_at(env: CyclicLoopEnv, position: Any) -> tuple[int, int]:
     """Count the pixels in the colours of right and of wrong claims around a position of the world."""
     frame, place = frame_of(env), scene(env).view.pixels(position)
@@ -236,11 +230,6 @@ other_window = window
 def close_window(env: CyclicLoopEnv) -> None:
     """Close the window as its user does."""
     pygame.event.post(pygame.event.Event(pygame.WINDOWCLOSE, window=env._renderer._window._window))
-
-
-def test_window_shows_every_step_and_returns_nothing(window: CyclicLoopEnv) -> None:
-    forward(window, 3)
-    assert window.render() is None
 
 
 def test_run_goes_on_when_the_user_closes_the_window(window: CyclicLoopEnv) -> None:

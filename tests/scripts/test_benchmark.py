@@ -10,7 +10,6 @@ from typing import Any
 import pytest
 
 from tests.helpers import load_script
-from tests.scripts.conftest import Refused
 
 benchmark = load_script("benchmark")
 
@@ -54,8 +53,3 @@ def test_phases_of_a_step_add_up_to_the_step() -> None:
     assert {row.name.split(": ")[1] for row in phases} > {"drive (pymunk)", "laser", "rest"}
     assert all(row.value > 0 for row in phases)
     assert sum(row.value for row in phases) == pytest.approx(together.value)
-
-
-def test_benchmark_refuses_a_file_that_it_cannot_write(tmp_path: Path, refused: Refused) -> None:
-    (tmp_path / "taken").write_text("")
-    assert "can't write to" in refused(benchmark.main, ["--json", tmp_path / "taken" / "rates.json"])

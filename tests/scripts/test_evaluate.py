@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ import pytest
 from stable_baselines3 import PPO
 
 from agents.rl.settings import TrainingSettings
-from agents.rl.storage import MODEL, SETTINGS
+from agents.rl.storage import MODEL
 from agents.rl.training import train
 from agents.rl.vec_env import CyclicLoopVecEnv
 from tests.helpers import load_script
@@ -88,21 +87,15 @@ def test_evaluate_prints_a_table_for_each_plan_of_a_document(capsys: pytest.Capt
     ("arguments", "message"),
     [
         ([], "name at least one agent"),
-        (["circling", "--all-baselines"], "name at least one agent"),
         (["cirling"], "Did you mean 'circling'?"),
         (["nowhere.zip"], "there is no model file"),
-        (["x" * 300], "File name too long"),
         (["random", "--map", "grit"], "Did you mean 'grid'?"),
         (["random", "--map", ""], "map"),
         (["random", "--noise", "loud"], "unknown noise preset"),
         (["random", "--seeds", "5"], "expected A:B"),
-        (["random", "--seeds", "5:5"], "give at least one"),
-        (["random", "--seeds", "0:" + 5000 * "9"], "expected A:B"),
         (["random", "--episodes", "99999999999"], "more than 1,000,000 seeds"),
         (["random", "--json", "tests"], "can't write to tests"),
         (["random", "--seeds", "0:2", "--episodes", "2"], "not both"),
-        (["random", "--map", "ring", "--step-budget", "0"], "step_budget is 0"),
-        (["random", "--map", "ring", "--num-envs", "0"], "num_envs is 0"),
     ],
 )
 def test_evaluate_says_in_one_line_what_is_wrong(arguments: list[str], message: str, refused: Refused) -> None:
@@ -114,9 +107,7 @@ def test_evaluate_says_in_one_line_what_is_wrong(arguments: list[str], message: 
     [
         (".", "no model file"),
         ("text.zip", "no model of Stable-Baselines3"),
-        ("truncated.zip", "no model of Stable-Baselines3"),
         ("corrupt.zip", "no model of Stable-Baselines3"),
-        ("5", "no model of Stable-Baselines3"),
         ("{}", "unknown algorithm"),
         ('{"clip_range": 1}', "can't be loaded"),
     ],
@@ -148,9 +139,3 @@ def test_evaluate_refuses_a_model_that_does_not_fit(run: Path, tmp_path: Path, r
 def test_models_of_different_maps_need_a_map(run: Path, tmp_path: Path, refused: Refused) -> None:
     train(TrainingSettings(map_name=("grid",), num_envs=2), steps=1, out=tmp_path)
     assert "say with --map" in refused(evaluate_main, [run, tmp_path])
-
-
-def test_evaluate_refuses_settings_that_are_a_folder(run: Path, tmp_path: Path, refused: Refused) -> None:
-    shutil.copy(run / MODEL, tmp_path)
-    (tmp_path / SETTINGS).mkdir()
-    assert str(tmp_path / SETTINGS) in refused(evaluate_main, [tmp_path])

@@ -18,7 +18,7 @@ from scripts.paper import figures, report
 from scripts.paper import store as storage
 from scripts.paper.experiments import Scope, differences, intervals
 from scripts.paper.recognition import BEAMS, SEARCHES, SECTORS, SecondLap, centres_found, curve_scores, found_shares
-from scripts.paper.report import GOLDEN_FIRST, TABLE_1, Reproduction, table_1_of, verdict
+from scripts.paper.report import GOLDEN_FIRST, TABLE_1, Reproduction, table_1_of
 from scripts.paper.runs import RunRecord, RunSettings, drive_again, run_explorer, scaled_noise
 from scripts.paper.store import Store
 from scripts.paper.timing import search_growth
@@ -177,11 +177,6 @@ def test_a_second_reproduction_runs_nothing_and_says_the_same(tiny: Path, monkey
     assert (tiny / "report.md").read_text() == before
 
 
-def test_a_verdict_that_the_numbers_do_not_bear_out_says_so() -> None:
-    assert verdict("Confirmed", True) == "**Confirmed**"
-    assert "not borne out" in verdict("Confirmed", False)
-
-
 # Resuming and bad input.
 
 
@@ -225,16 +220,3 @@ def test_an_interrupt_keeps_what_was_run(
     assert "kept" in capsys.readouterr().err
     monkeypatch.setattr(storage, "run_explorer", run_explorer)
     assert report.Store(tmp_path / "cache", 1).missing(report.experiments.all_runs(TINY)) != []
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [(["--processes", "0"], "--processes is 0"), (["--out", "README.md"], "README.md")],
-)
-def test_bad_input_gets_one_line(
-    arguments: list[str], message: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert reproduce.main(["--out", str(tmp_path), *arguments]) == 2
-    said = capsys.readouterr().err
-    assert message in said
-    assert said.count("\n") == 1

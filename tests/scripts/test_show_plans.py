@@ -49,12 +49,6 @@ def test_bad_input_gets_one_line(arguments: list[str], message: str, refused: Re
     assert message in refused(show_plans.main, arguments)
 
 
-def test_a_building_too_large_to_be_searched_is_refused(tmp_path: Path, refused: Refused) -> None:
-    file = tmp_path / "field.yaml"
-    file.write_text("start: {x: 2, y: 2}\nexterior: [[0, 0], [9000, 0], [9000, 9000], [0, 9000]]\n")
-    assert "too large to be searched for look-alikes" in refused(show_plans.main, [file])
-
-
 def test_dollars_in_a_title_are_no_formula(tmp_path: Path) -> None:
     from cyclic_env.rendering.figures import contact_sheet, plan_figure
 

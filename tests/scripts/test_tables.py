@@ -40,9 +40,3 @@ def test_table_names_the_action_type_and_warns_of_discrete() -> None:
     lines = format_table([wheels, discrete]).splitlines()
     assert [line.split()[3] for line in lines] == ["actions", "wheels", "discrete"]
     assert len(table_notes([wheels, discrete])) == len(table_notes([wheels])) + 1
-
-
-def test_columns_can_be_left_out() -> None:
-    header, line = format_table([evaluation(record())], without=("map", "noise", "start")).splitlines()
-    assert "map" not in header
-    assert line.split()[:3] == ["someone", "wheels", "1"]

@@ -51,8 +51,6 @@ STEP = 0.25
 RING_LAP = [(12, 2), (22, 2), (22, 22), (2, 22), (2, 2), (12, 2)]
 WEST_LAP = [(22, 12), (22, 2), (2, 2), (2, 22), (22, 22), (22, 12)]
 EAST_LAP = [(22, 12), (22, 2), (42, 2), (42, 22), (22, 22), (22, 12)]
-LAP_STEPS = 320
-"""Steps of each of these laps, 80 m long."""
 
 
 @njit  # not cached: numba's cache does not notice when the functions that are called here change

@@ -151,13 +151,10 @@ class ClosureTwin:
         far_enough = self.lengths[t] - self.lengths[k] >= self.config.gap
         return far_enough and any(self.square(t, j) >= self.config.leave_radius**2 for j in range(t, k - 1, -1))
 
-    def returns_to(self, t: int, k: int) -> bool:
-        return self.same_place(t, k) and self.came_back(t, k)
-
     def nearest(self, t: int) -> int | None:
         """Return the nearest step that t returns to, the earliest of equally near ones; None where there is none.
 
-        The same as the least of all k for which `returns_to(t, k)`, by distance and k; the walls come last.
+        It is the least k, by distance and k, for which `same_place` and `came_back` hold; the walls come last.
         """
         here, radius = self.positions[t], self.config.return_radius
         away = next((j for j in range(t, -1, -1) if self.square(t, j) >= self.config.leave_radius**2), -1)
