@@ -265,7 +265,8 @@ def export(run: Run, folder: Path) -> None:
     write_tum(folder / "dead_reckoned.tum", recording.times, recording.dead_reckoned)
     write_tum(folder / "corrected.tum", recording.dt * corrected[:, 0], corrected[:, 1:])
     poses, edges = run.explorer.tracker.graph(run.explorer.keyframes)
-    write_g2o(folder / "pose_graph.g2o", poses + [*run.env.trajectory()[0, :2], 0.0], edges)
+    start = np.array([*run.env.trajectory()[0, :2], 0.0])
+    write_g2o(folder / "pose_graph.g2o", poses + start, edges)
 
 
 def score_table(metrics: dict[str, Any]) -> str:
