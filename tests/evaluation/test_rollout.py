@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import itertools
 import json
-import subprocess
-import sys
 import types
 from typing import Any
 
@@ -102,13 +99,9 @@ def test_policy_is_told_which_episodes_begin() -> None:
     [
         ([], "at least one"),
         (5, r"seeds is 5; .*range\(10\)"),
-        (None, "seeds is None"),
-        ([None], "a seed is None"),
         ([-1], "a seed is -1"),
-        ("12", "a seed is '1'"),
         ([0, 1, 0], "twice"),
         (range(10**11), "more than 1,000,000 seeds"),
-        (itertools.count(), "more than 1,000,000 seeds"),
     ],
 )
 def test_odd_seeds_are_refused_in_one_line(seeds: Any, message: str) -> None:
@@ -167,11 +160,6 @@ def test_random_starts_make_a_deterministic_agent_differ() -> None:
     entry = result.summary()["return"]
     assert entry["low"] < entry["mean"] < entry["high"]
     assert json.loads(json.dumps(result.to_json(), allow_nan=False))["episodes"] == result.episodes
-
-
-def test_evaluation_needs_no_learning_library() -> None:
-    code = "import sys, cyclic_env.evaluation; assert not {'torch', 'stable_baselines3', 'agents'} & set(sys.modules)"
-    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_a_policy_that_acts_by_other_actions_than_the_environment_is_refused() -> None:

@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import gymnasium
 import numpy as np
 import pytest
 import shapely
@@ -292,16 +291,6 @@ def test_row_of_a_vector_env_looks_like_a_single_env(env: CyclicLoopEnv) -> None
     assert frames is not None
     assert np.array_equal(frames[0], frame_of(env))
     vector.close()
-
-
-def test_render_collection_gathers_a_frame_a_step() -> None:
-    env = gymnasium.wrappers.RenderCollection(CyclicLoopEnv("ring", render_mode="rgb_array"))
-    env.reset(seed=0)
-    for _ in range(3):
-        env.step(np.array([1.0, 1.0, -1.0, 0.0], np.float32))
-    frames: Any = env.render()
-    assert len(frames) == 4
-    env.close()
 
 
 def test_env_that_has_rendered_can_be_pickled(env: CyclicLoopEnv) -> None:

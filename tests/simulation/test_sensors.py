@@ -245,22 +245,6 @@ def test_ranges_follow_the_beam_model(preset: str) -> None:
     check_share(np.abs(readings - TRUE) < 6 * sigma, total)
 
 
-@pytest.mark.parametrize("field", ["laser_short", "laser_random"])
-def test_short_ranges_are_uniform_below_the_true_one_and_random_ones_up_to_the_reach(field: str) -> None:
-    readings = readings_of(NoiseConfig(**{field: 1.0}), TRUE, 300)
-    ends = TRUE if field == "laser_short" else np.full(180, 12.0)
-    for beam in (0, 90, 179):
-        check_same(readings[:, beam] / ends[beam], "uniform")
-    check_same((readings / ends).ravel(), "uniform")
-
-
-@pytest.mark.parametrize(("noise", "sigma"), [({"laser_sigma": 0.03}, 0.03), ({"laser_sigma_relative": 0.035}, 0.14)])
-def test_hits_are_gaussian_with_an_absolute_or_a_relative_spread(noise: dict[str, float], sigma: float) -> None:
-    errors = readings_of(NoiseConfig(**noise), np.full(180, 4.0), 300) - 4.0
-    check_spread(errors.ravel(), sigma)
-    check_same(errors.ravel() / sigma, norm.cdf)
-
-
 def test_beams_and_robots_and_steps_err_by_themselves() -> None:
     noise = NoiseConfig(laser_sigma=0.1)
     errors = readings_of(noise, np.full(180, 4.0), 400) - 4.0

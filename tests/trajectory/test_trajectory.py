@@ -74,10 +74,6 @@ def test_alignment_is_the_best_one() -> None:
         assert ate(turned(aligned - centre, angle) + centre + [shift, 0], true) > best
 
 
-def test_points_at_one_place_are_shifted_and_not_turned() -> None:
-    assert align_rigid(np.ones((3, 2)), np.full((3, 2), 4.0)) == pytest.approx(np.full((3, 2), 4.0))
-
-
 @pytest.mark.parametrize("align", [False, True])
 def test_evo_reads_the_files_and_finds_the_same_error(align: bool, tmp_path: Path) -> None:
     times, true = 0.2 * np.arange(400), wandering(400)
@@ -173,15 +169,11 @@ def test_the_file_holds_the_problem_whose_least_squares_the_explorer_takes(tmp_p
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda path: ate(np.zeros((0, 2)), np.zeros((0, 2))), "0 estimated and 0 true"),
-        (lambda path: ate(np.zeros((2, 2)), np.zeros((3, 2))), "2 estimated and 3 true"),
         (lambda path: ate(np.full((2, 2), np.nan), np.zeros((2, 2))), "finite numbers"),
         (lambda path: dead_reckon([0.0], np.zeros((2, 2))), "1 distances and 2 compass"),
-        (lambda path: write_tum(path, [0.0], np.zeros((2, 3))), "1 times and 2 poses"),
         (lambda path: write_tum(path, [0.0], np.zeros((1, 2))), "poses: got an array of shape"),
         (lambda path: write_tum(path.parent, [0.0], np.zeros((1, 3))), "can't write to"),
         (lambda path: write_g2o(path, np.zeros((1, 3)), [(0, 1, np.zeros(3), np.eye(3))]), "joins poses 0 and 1"),
-        (lambda path: write_g2o(path, np.zeros((1, 3)), [(0, 0, np.zeros(2), np.eye(3))]), "an edge: got"),
     ],
 )
 def test_bad_input_gets_one_line(call: object, message: str, tmp_path: Path) -> None:
