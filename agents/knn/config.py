@@ -98,10 +98,10 @@ class ExplorerConfig:
     Parameters
     ----------
     detector : {"both", "knn", "position"}
-        What tells a visited place: its appearance (the KNN vote) among the places near, its appearance alone, or its
-        position alone.
+        What tells a visited place: its appearance among the places near, its appearance alone, or its position alone.
+        Appearance is the KNN vote or, with `match_scans`, that of the map's panoramas.
     measure : str
-        Similarity of two keyframes' features; see `agents.knn.similarity.MEASURES`.
+        Similarity of two keyframes' features in the vote; see `agents.knn.similarity.MEASURES`.
     neighbours : int
         K: the keyframes that vote.
     threshold : float, optional
