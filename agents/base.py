@@ -36,6 +36,11 @@ class Agent(ABC):
             The heading as a vector (east, north).
         """
 
+    @property
+    def belief(self) -> np.ndarray | None:
+        """Where it believes to be, from where it started: x, y, heading `(3,)`; None if it keeps no account of that."""
+        return None
+
     def encode(self, decision: Decision, action_type: ActionType) -> tuple[float, ...]:
         """Return a decision as an action of that type."""
         return encode_action(decision, action_type)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+import importlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,11 +33,13 @@ class Contestant:
 
 
 def load_contestant(name: str, action_type: str | None = None, **settings: Any) -> Contestant:
-    """Return the agent with that name, or the model in that file or folder.
+    """Return the agent with that name, the model in that file or folder, or one that a function of yours makes.
 
     Parameters
     ----------
     name : str
+        Of an agent, a file or folder; or ``module:function``, for a function that takes the environment and returns
+        the policy.
     action_type : str, optional
         By default the one that the model was trained with, or ``"wheels"``.
     settings
@@ -53,6 +56,11 @@ def load_contestant(name: str, action_type: str | None = None, **settings: Any) 
             policy = make_agent(name, env)
             return Contestant(name=name, policy=policy, action_type=env.config.action_type, map_name=())
     path = Path(name)
+    if ":" in name and not path.exists():
+        settings["action_type"] = action_type or "wheels"
+        with closing(CyclicLoopVectorEnv(1, **settings)) as env:
+            policy = import_maker(name)(env)
+            return Contestant(name=name, policy=policy, action_type=env.config.action_type, map_name=())
     if not path.exists():
         if path.suffix == ".zip" or len(path.parts) > 1:
             raise ConfigError(f"there is no model file {name}.")
@@ -75,6 +83,21 @@ def load_contestant(name: str, action_type: str | None = None, **settings: Any) 
         policy = HeadingsAgent(trained.model, env.perception.rules)
     map_name = trained.settings.map_name if trained.settings else ()
     return Contestant(name=name, policy=policy, action_type=settings["action_type"], map_name=map_name)
+
+
+def import_maker(name: str) -> Callable[[CyclicLoopVectorEnv], Policy]:
+    """Return the function with the name ``module:function``.
+
+    Raises
+    ------
+    ConfigError
+        If there is none.
+    """
+    module, _, function = name.partition(":")
+    try:
+        return getattr(importlib.import_module(module), function)
+    except (ImportError, ValueError, AttributeError) as error:
+        raise ConfigError(f"there is no agent {name!r}: {error}; expected module:function.") from error
 
 
 def compare(

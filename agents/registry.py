@@ -1,4 +1,4 @@
-"""Agents that need no training, by name: the baselines, which follow fixed rules, and the explorer."""
+"""Agents that need no training, by name: the baselines, which follow fixed rules, the explorer, and its rivals."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ from typing import Any
 from agents.base import BatchPolicy
 from agents.knn.config import preset
 from agents.knn.policy import KnnPolicy
+from agents.rivals.frontier import FrontierAgentConfig, FrontierPolicy
+from agents.rivals.privileged import OraclePolicy, PerfectDetectorPolicy
 from agents.scripted import (
     BEYOND_WALL,
     CLEAR_OF_WALL,
@@ -49,6 +51,18 @@ _EXPLORERS = {
     "knn_paper_appearance": preset("paper", detector="knn"),
     "knn_paper_position": preset("paper", detector="position"),
 }
+_FRONTIERS = {
+    "frontier": FrontierAgentConfig(),
+    "frontier_lite": FrontierAgentConfig(order="explore_lite"),
+    "frontier_loops": FrontierAgentConfig(closes_loops=True),
+}
+_CIRCLING_RIGHT = partial(WallFollowingAgent, side=RIGHT, wall_distance=CLEAR_OF_WALL)
+_PRIVILEGED = ("oracle", "perfect_detector")
+
+
+def privileged_names() -> tuple[str, ...]:
+    """Return the names of the agents that see the truth about their environment: bounds, never to be ranked."""
+    return _PRIVILEGED
 
 
 def baseline_names() -> tuple[str, ...]:
@@ -58,7 +72,7 @@ def baseline_names() -> tuple[str, ...]:
 
 def agent_names() -> tuple[str, ...]:
     """Return the names that `make_agent` knows."""
-    return (*_EXPLORERS, *_BASELINES)
+    return (*_EXPLORERS, *_FRONTIERS, "circling_right", *_PRIVILEGED, *_BASELINES)
 
 
 def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = None, seed: int = 0) -> BatchPolicy:
@@ -70,6 +84,7 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
         One of `agent_names`.
     env : CyclicLoopEnv or CyclicLoopVectorEnv, optional
         The environment to drive in, perhaps wrapped; the agent takes its laser, robot and action type from there.
+        A privileged agent needs it, and drives in no other.
     action_type : {"wheels", "twist", "discrete"}, optional
         By default the environment's, or ``"wheels"`` without one.
     seed : int
@@ -78,11 +93,22 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
     Raises
     ------
     ConfigError
-        If there is no such agent; the message lists all names and suggests the nearest.
+        If there is no such agent (the message lists all names and suggests the nearest), or a privileged one has no
+        environment.
     """
     check_choice("agent", name, agent_names())
     settings = EnvConfig() if env is None else env.unwrapped.config
     actions = action_type or settings.action_type
     if name in _BASELINES:
-        return _BASELINES[name](action_type=actions, seed=seed)
+        return _BASELINES[name](action_type=actions, seed=seed, laser=settings.laser)
+    if name == "circling_right":
+        return ScriptedPolicy(_CIRCLING_RIGHT, action_type=actions, laser=settings.laser)
+    if name in _FRONTIERS:
+        return FrontierPolicy(_FRONTIERS[name], settings.laser, settings.robot, action_type=actions)
+    if name == "oracle":
+        return OraclePolicy(env, action_type=actions)
+    if name == "perfect_detector":
+        return PerfectDetectorPolicy(
+            preset("extended").fitted(settings.laser, settings.robot), env, action_type=actions
+        )
     return KnnPolicy(_EXPLORERS[name].fitted(settings.laser, settings.robot), action_type=actions)

@@ -12,7 +12,8 @@ import numpy as np
 
 from agents.actions import BACK, MATCH_START, Decision
 from agents.base import Agent, BatchPolicy
-from cyclic_env.config import ActionType
+from agents.slam.panorama import panorama_beams, spread_beams
+from cyclic_env.config import ActionType, LaserConfig
 
 LEFT, RIGHT = 1, -1
 
@@ -42,14 +43,20 @@ class ScriptedAgent(Agent):
         Whether to claim in every step to be back at the start (with discrete actions, anywhere), or never.
     key : int
         Key of its random numbers, if it draws any.
+    laser : LaserConfig, optional
+        Laser of the robot, by default one that looks all around. Where it doesn't look, the way is taken to be free.
     """
 
-    def __init__(self, *, claims: bool = False, key: int = 0) -> None:
+    def __init__(self, *, claims: bool = False, key: int = 0, laser: LaserConfig | None = None) -> None:
         self.claims = claims
         self.key = key
+        self._laser = None if laser is None or laser.first_bearing == 0 else laser
 
     def decide(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> Decision:
         """Drive by the rule, which depends on the scan alone."""
+        if self._laser is not None:
+            scan = spread_beams(scan, *panorama_beams(self._laser))
+            scan[scan == 0] = self._laser.range_max
         speed, turn = self.drive(scan)
         return Decision(speed, turn, self.claims, MATCH_START)
 
@@ -64,13 +71,15 @@ class ScriptedPolicy(BatchPolicy):
     Parameters
     ----------
     kind : callable
-        Returns a `ScriptedAgent`, given `claims` and `key`.
+        Returns a `ScriptedAgent`, given `claims`, `key` and `laser`.
     action_type : {"wheels", "twist", "discrete"}
         The action type of the environment.
     claims : bool
         As for `ScriptedAgent`.
     seed : int
         Seed of agents that draw random numbers.
+    laser : LaserConfig, optional
+        As for `ScriptedAgent`.
     """
 
     def __init__(
@@ -80,8 +89,10 @@ class ScriptedPolicy(BatchPolicy):
         action_type: ActionType = "wheels",
         claims: bool = False,
         seed: int = 0,
+        laser: LaserConfig | None = None,
     ) -> None:
         super().__init__(action_type=action_type)
+        self.laser = laser
         self.kind = kind
         self.claims = claims
         self.seed = seed
@@ -89,7 +100,7 @@ class ScriptedPolicy(BatchPolicy):
     def new_agent(self, beams: int, row: int, previous: Any = None) -> ScriptedAgent:
         """Return an agent whose random numbers are those of its row, and different in every episode."""
         key = random_key(self.seed, row) if previous is None else mix(previous.key)
-        return self.kind(claims=self.claims, key=key)
+        return self.kind(claims=self.claims, key=key, laser=self.laser)
 
     def reseed(self, state: tuple[ScriptedAgent, ...] | None, seeds: Sequence[int | None]) -> tuple[ScriptedAgent, ...]:
         """Return the state, with the random numbers of some robots reseeded.

@@ -19,6 +19,7 @@ from gymnasium.envs.registration import register, registry
 if TYPE_CHECKING:
     from cyclic_env.config import (
         NOISE_PRESETS,
+        TIERS,
         ClosureConfig,
         CoverageConfig,
         EnvConfig,
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
         NoiseConfig,
         RewardConfig,
         RobotConfig,
+        Tier,
     )
     from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
     from cyclic_env.envs.vector import CyclicLoopVectorEnv
@@ -49,6 +51,7 @@ _MODULES = (
 
 __all__ = [
     "NOISE_PRESETS",
+    "TIERS",
     "ActionError",
     "ClosureConfig",
     "ConfigError",
@@ -68,6 +71,7 @@ __all__ = [
     "RewardConfig",
     "RobotConfig",
     "RobotLog",
+    "Tier",
     "UsageError",
     "load_floor_plan",
     "map_names",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -18,7 +18,7 @@ from cyclic_env.validation import check_bool, check_choice, check_field, check_i
 ActionType = Literal["wheels", "twist", "discrete"]
 ACTION_TYPES: tuple[ActionType, ...] = get_args(ActionType)
 
-NoisePreset = Literal["ideal", "calibrated", "typical", "poor"]
+NoisePreset = Literal["ideal", "calibrated", "typical", "poor", "hard"]
 
 STEP_BUDGET_MAX = 10_000_000
 
@@ -121,6 +121,11 @@ class NoiseConfig:
     """Standard deviation of the distance meter's scale error, drawn once an episode (1 = 100 %)."""
     distance_drift: float = 0.0
     """Random walk of the distance meter, metres per square root of a metre driven."""
+    slip_rate: float = 0.0
+    """How often the wheels slip, per metre driven."""
+    slip_length: float = 0.0
+    """Mean of the way that a slip adds to the distance meter, metres; exponentially distributed. The meter counts turns
+    of the wheels, so a slip always adds in the direction in which the robot drives."""
     compass_white_deg: float = 0.0
     """Standard deviation of the compass's white noise, degrees."""
     compass_field_deg: float = 0.0
@@ -139,7 +144,14 @@ class NoiseConfig:
     """Probability that a range is a uniform draw up to the maximum."""
 
     def __post_init__(self) -> None:
-        for field in ("distance_drift", "compass_white_deg", "compass_field_deg", "laser_sigma"):
+        for field in (
+            "distance_drift",
+            "slip_rate",
+            "slip_length",
+            "compass_white_deg",
+            "compass_field_deg",
+            "laser_sigma",
+        ):
             check_number(self, field, 0.0, 1e3)
         for field in ("distance_scale", "laser_sigma_relative", "laser_short", "laser_max", "laser_random"):
             check_number(self, field, 0.0, 1.0)
@@ -152,11 +164,26 @@ class NoiseConfig:
         )
 
     @property
+    def wheels_slip(self) -> bool:
+        """Whether the distance meter counts slips of the wheels."""
+        return self.slip_rate > 0 and self.slip_length > 0
+
+    @property
     def laser_is_exact(self) -> bool:
         """Whether the laser reads the true ranges."""
         terms = (self.laser_sigma, self.laser_sigma_relative, self.laser_short, self.laser_max, self.laser_random)
         return not any(terms)
 
+
+_POOR = NoiseConfig(
+    distance_scale=0.05,
+    distance_drift=0.05,
+    compass_field_deg=13.0,
+    laser_sigma_relative=0.035,
+    laser_short=0.05,
+    laser_max=0.05,
+    laser_random=0.02,
+)
 
 NOISE_PRESETS: Mapping[str, NoiseConfig] = {
     "ideal": NoiseConfig(),
@@ -180,16 +207,39 @@ NOISE_PRESETS: Mapping[str, NoiseConfig] = {
         laser_max=0.02,
         laser_random=0.01,
     ),
-    "poor": NoiseConfig(
-        distance_scale=0.05,
-        distance_drift=0.05,
-        compass_field_deg=13.0,
-        laser_sigma_relative=0.035,
-        laser_short=0.05,
-        laser_max=0.05,
-        laser_random=0.02,
-    ),
+    "poor": _POOR,
+    "hard": replace(_POOR, slip_rate=0.04, slip_length=0.3),
 }
+"""Errors of the sensors by name. The wheels of ``hard`` slip: a wheel that loses its grip turns on without moving the
+robot, one of the non-systematic errors that no calibration removes (J. Borenstein and L. Feng, "Measurement and
+correction of systematic odometry errors in mobile robots", IEEE Trans. Robotics and Automation 12(6), 1996). The mean
+length is half a turn of a Pioneer's wheel, which is 195 mm wide. One slip in 25 m, as at a sill, a cable or a wet spot,
+is our estimate; we know of no source for a rate."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Tier:
+    """A level of difficulty in comparisons: errors of the sensors, and the laser."""
+
+    noise: NoisePreset
+    laser: LaserConfig = LaserConfig()
+    ranked: bool = True
+    """Whether agents are ranked by it. With ideal sensors dead reckoning alone recognizes every place."""
+
+    def settings(self) -> dict[str, Any]:
+        """Return the settings of an environment of this tier."""
+        return {"noise": self.noise, "laser": self.laser}
+
+
+TIERS: Mapping[str, Tier] = {
+    "ideal": Tier(noise="ideal", ranked=False),
+    "calibrated": Tier(noise="calibrated"),
+    "typical": Tier(noise="typical"),
+    "poor": Tier(noise="poor"),
+    "hard": Tier(noise="hard", laser=LaserConfig(num_beams=180, range_max=8.0, field_of_view=1.5 * math.pi)),
+}
+"""The tiers by name. The laser of ``hard`` sees 270 degrees and 8 m, as one built into a body does: a SICK TiM561 sees
+270 degrees, and dark walls (10 % remission) up to 8 m."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

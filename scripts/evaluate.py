@@ -51,7 +51,7 @@ class Options:
     map: OptionalText = None
     """floor plan, or several with commas between (default: the model's, or killian_court)"""
     noise: str = "ideal"
-    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one"""
+    """ideal, calibrated, typical, poor or hard, or several with commas between, of which each reset draws one"""
     action_type: OptionalText = None
     """wheels, twist or discrete (default: the model's, or wheels)"""
     episodes: OptionalInt = None

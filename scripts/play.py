@@ -29,7 +29,7 @@ class Options:
     map: str = "ring"
     """a shipped plan, a file, or a building such as generated:seed=7"""
     noise: str = "ideal"
-    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one"""
+    """ideal, calibrated, typical, poor or hard, or several with commas between, of which each reset draws one"""
     seed: int = 0
     """seed of the noise and the random start"""
     show: Show = "robot"

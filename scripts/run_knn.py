@@ -54,7 +54,7 @@ class Options:
     """measure of similarity (default: cosine); it matters little where the position leaves few places to compare,
     so try it with --preset paper or --detector knn"""
     noise: str = "ideal"
-    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one"""
+    """ideal, calibrated, typical, poor or hard, or several with commas between, of which each reset draws one"""
     seed: int = 0
     """seed of the noise and the random start"""
     out: Path = Path("out/knn")

@@ -34,7 +34,7 @@ class Options:
     map: OptionalText = None
     """floor plan, or several with commas between (default: ring; headings: generated:train)"""
     noise: OptionalText = None
-    """ideal, calibrated, typical or poor, or several with commas between, of which each reset draws one (default:
+    """ideal, calibrated, typical, poor or hard, or several with commas between, of which each reset draws one (default:
     ideal; headings: all but ideal)"""
     action_type: OptionalText = None
     """wheels, twist or discrete (default: wheels)"""

@@ -1,4 +1,4 @@
-"""A costmap of the whole building: where the robot has hardly been, and which loops it has only seen through."""
+"""A costmap of the whole building: where the robot has hardly been, and around which obstacles it has not driven."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from agents.exploration.costmap import Costmap, CostmapConfig
 from agents.slam.keyframes import Keyframes
 
 AROUND = np.ones((3, 3), np.bool_)
-"""The neighbors of a cell that is an obstacle: free cells are joined through their sides or corners, too."""
+"""The neighbours of an obstacle's cell that belong to it: those across sides and corners."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BuildingMapConfig(ComponentConfig):
-    """The map of the whole building; lengths in metres."""
+    """Settings of the map of the whole building; lengths in metres."""
 
     extent_max: float = 250.0
-    """Side of the map, at most: a track that is out of order may lead anywhere."""
+    """Greatest side of the map, since a corrupted track may lead anywhere."""
     margin: float = 2.0
-    """By which the map is larger than the keyframes' surroundings."""
+    """Margin of the map around what the keyframes can see."""
     lap_min: float = 38.0
-    """Length of a lap that may count as a cycle: 40 m, less what the map errs by."""
+    """Least length of a lap that may count as a cycle: 40 m, less the error of the map."""
     claim_spacing: float = 2.0
-    """Metres from a claim within which another one isn't judged."""
+    """Length of path after a claim within which another one is not judged."""
 
 
 class BuildingMap:
@@ -40,7 +40,7 @@ class BuildingMap:
     range_max : float
         Reach of the laser, metres.
     costmap : CostmapConfig
-        With any number of cells.
+        The settings of the costmap; their number of cells is not used.
     config : BuildingMapConfig, optional
     """
 
@@ -58,15 +58,15 @@ class BuildingMap:
         self.costmap.draw(center, keyframes.scan, keyframes.pose, legs)
 
     def hardly_seen(self, pose: np.ndarray, been: np.ndarray, spacing: float) -> np.ndarray | None:
-        """Return the position `(2,)` nearest to the robot that it can drive to and has not been near; None without one.
+        """Return the nearest position `(2,)` that the robot can drive to and has not been near; None if there is none.
 
         Parameters
         ----------
         pose : (3,)
         been : (n, 2)
-            Where the robot has been.
+            Positions where the robot has been.
         spacing : float
-            Metres, at the least cost, that are near.
+            Greatest cost of a path, in metres at the least cost, to a position that counts as near.
         """
         costmap = self.costmap
         costmap.find_paths(costmap.cells_at(been))
@@ -79,13 +79,13 @@ class BuildingMap:
     def open_laps(
         self, keyframes: Keyframes, claims: Sequence[tuple[int, int]], pose: np.ndarray
     ) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return the laps that no claimed loop has gone round, nearest first, each with a point within it.
+        """Return the laps that no claimed loop goes around, nearest first, each with a point within it.
 
         Parameters
         ----------
         keyframes : Keyframes
         claims : sequence of (int, int)
-            Steps at which the robot was back, and at which step it was there before.
+            The claims: the step at which the robot was back, and the one at which it was there before.
         pose : (3,)
 
         Returns
@@ -119,7 +119,7 @@ class BuildingMap:
         return [(anchor, lap) for _, anchor, lap in sorted(laps, key=lambda found: found[0])]
 
     def _may_be_cycle(self, box: tuple[slice, slice]) -> bool:
-        """Return whether an obstacle with that box, in cells, may have a lap that is long enough: its hull has less."""
+        """Return whether an obstacle with that bounding box, in cells, may have a lap that is long enough."""
         height, width = (side.stop - side.start for side in box)
         return 2 * self.costmap.config.cell * (height + width) >= self.config.lap_min
 

@@ -26,22 +26,22 @@ from agents.slam.se2 import euclidean_distances
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrontierConfig(ComponentConfig):
-    """Which points stay open, and which open areas are listed; lengths in metres."""
+    """Settings of which points stay open, and which open areas are listed; lengths in metres."""
 
     sight: float = 14.0
-    """Distance between two keyframes whose scans may overlap at points of one of them: a little beyond the reach."""
+    """Greatest distance between keyframes of which one may see the other's open points; beyond the laser's reach."""
     witnesses: int = 3
-    """Scans, of five, that must see through to an open point; with fewer, it comes last."""
+    """Number of scans, of five, that must see through to an open point, or else the point comes last."""
     onward: float = 2.0
-    """How far the robot goes on at a time from an opening that it comes to from the other side."""
+    """Distance that the robot drives on at a time from an opening that it has reached from the other side."""
     max_points: int = 400
-    """Open points of one scan, or two a beam where that is more; others are left out."""
+    """Greatest number of open points of a scan, unless two per beam are more; others are left out."""
     same_area: float = 2.0
-    """Distance between points of one area, at most: less than between two doors."""
+    """Greatest distance between neighbouring points of an area; less than between two doors."""
     left_behind: float = 6.0
-    """How far the robot must have gone away from an area again for it to be listed as one to come back to."""
+    """Distance that the robot must have moved away from an area before it is listed as one to come back to."""
     blacklist_radius: float = 1.0
-    """Distance from a point that can't be reached within which nothing is open any more."""
+    """Distance within which all points around one that can't be reached are closed for good."""
 
 
 @dataclass(slots=True)
@@ -50,19 +50,19 @@ class OpenArea:
 
     number: int
     keyframe: int
-    """The one that sees it."""
+    """The keyframe that sees it."""
     offset: np.ndarray
-    """Of its center from that keyframe, `(2,)`, metres east and north."""
+    """Offset of its centre from that keyframe, `(2,)`, metres east and north."""
     state: str = "open"
-    """Or "visited", "reached another way" (explored from elsewhere), "out of reach"."""
+    """One of "open", "visited", "reached another way" (explored from elsewhere) and "out of reach"."""
 
 
 @dataclass(slots=True)
 class _Area:
-    """What is remembered of an area, listed or not."""
+    """An area of open points, listed or not."""
 
     nearest: float = np.inf
-    """Metres from the robot when it was nearest."""
+    """Least distance between the area and the robot so far, metres."""
     listed: OpenArea | None = None
 
 
@@ -82,7 +82,7 @@ class Frontiers:
     Attributes
     ----------
     polar : (m, 3) float64
-        Range, beam and kind of each point, as from `open_points`, at its keyframe.
+        Range, beam and kind of each point at its keyframe, as `open_points` writes them.
     keyframe : (m,) int64
     area : (m,) int64
         Equal for points of one area; areas are numbered as they are found.
@@ -110,7 +110,7 @@ class Frontiers:
         return len(self.keyframe)
 
     def points(self, keyframes: Keyframes) -> np.ndarray:
-        """Return the points `(m, 2)` in the frame of the track."""
+        """Return the positions `(m, 2)` of the points in the frame of the track."""
         return to_track(self.polar, keyframes.pose[self.keyframe], 2 * np.pi / self.beams)
 
     @property
@@ -119,13 +119,13 @@ class Frontiers:
         return self.polar[:, 2] == UNBOUNDED
 
     def update(self, keyframes: Keyframes, geodesic_m: np.ndarray) -> None:
-        """Resolve what the last keyframe has explored, and add what it has opened.
+        """Resolve the points that the last keyframe has explored, and add those that it has opened.
 
         Parameters
         ----------
         keyframes : Keyframes
         geodesic_m : (n,)
-            Lengths of the ways from the last keyframe.
+            Lengths of the paths from the last keyframe to all keyframes, metres.
         """
         last = keyframes.count - 1
         pose = keyframes.pose[last]
@@ -134,13 +134,13 @@ class Frontiers:
             euclidean_m = euclidean_distances(points, pose)
             direct = keyframes.is_direct(geodesic_m[self.keyframe], euclidean_m)
             arrived = self._sees(keyframes, last, points) & (euclidean_m < self.visibility.beside)
-            # Where the loop to a point is not closed yet, the robot goes on to where it was seen from, and closes it.
+            # If the loop to a point is not closed yet, the robot drives on to where it was seen from, to close it.
             ahead = arrived & ~direct & (self.polar[:, 0] > self.config.onward)
             self.polar[ahead, 0] -= self.config.onward
             arrived &= ~ahead
             self._resolve(direct & self._is_explored(keyframes, np.array([last]), points) | arrived, arrived)
         if len(self):
-            # A point is best kept by the keyframe that sees it from nearest: the way to it leads from there.
+            # A point belongs to the nearest keyframe that sees it, from which the path to it leads.
             points = self.points(keyframes)
             euclidean_m = euclidean_distances(points, pose)
             nearer = self._sees(keyframes, last, points) & (euclidean_m < self.polar[:, 0])
@@ -180,13 +180,13 @@ class Frontiers:
         return count
 
     def reopen(self, keyframes: Keyframes, visibility: VisibilityConfig) -> None:
-        """Forget what could not be reached, and list again all that no scan has seen into.
+        """Forget which points could not be reached, and add all openings again that no scan has seen into.
 
         Parameters
         ----------
         keyframes : Keyframes
         visibility : VisibilityConfig
-            What counts as open from now on.
+            The settings of what counts as open from now on.
         """
         self._values = pack(VisibilityValues, visibility)
         self._blacklist = self._blacklist[:0]
@@ -195,13 +195,13 @@ class Frontiers:
         self._unverified = 0
 
     def verify(self, keyframes: Keyframes, measured: np.ndarray, poses: np.ndarray) -> None:
-        """Put off the points of the last `update` that too few scans see through to: ranges may be wrong.
+        """Mark the points of the last `update` that too few scans see through to as unconfirmed: ranges may be wrong.
 
         Parameters
         ----------
         keyframes : Keyframes
         measured, poses : (m, beams) and (m, 3)
-            Scans as measured, from shortly before and after the last keyframe.
+            Unfiltered scans, taken shortly before and after the last keyframe.
         """
         points = self.points(keyframes)
         witnesses = np.full(len(points), self.config.witnesses)
@@ -211,7 +211,7 @@ class Frontiers:
         self.polar[witnesses < self.config.witnesses, 2] = UNCONFIRMED
 
     def recheck(self, keyframes: Keyframes) -> None:
-        """Resolve what has been explored by keyframes that a closed loop has brought near."""
+        """Resolve the points that have been explored by keyframes to which a closed loop is a shortcut."""
         points = self.points(keyframes)
         explored = np.zeros(len(points), np.bool_)
         for keyframe in np.unique(self.keyframe):
@@ -224,7 +224,7 @@ class Frontiers:
         self._resolve(explored, np.zeros(len(points), np.bool_))
 
     def blacklist(self, keyframes: Keyframes, point: np.ndarray) -> None:
-        """Give up a point `(2,)` that can't be reached, and what is around it, until all is reopened."""
+        """Give up a point `(2,)` that can't be reached, and the points around it, until `reopen`."""
         around = euclidean_distances(self.points(keyframes), point) < self.config.blacklist_radius
         for area in np.unique(self.area[around]):
             listed = self._areas[area].listed
@@ -244,7 +244,7 @@ class Frontiers:
         return seen
 
     def _resolve(self, resolved: np.ndarray, arrived: np.ndarray) -> None:
-        """Drop points, and say of the listed areas that have none left whether the robot has been there."""
+        """Drop resolved points, and set the state of the listed areas without any points left."""
         before = {area: bool(arrived[self.area == area].any()) for area in np.unique(self.area[resolved])}
         self._unverified -= int(resolved[len(resolved) - self._unverified :].sum())
         self.polar, self.keyframe, self.area = self.polar[~resolved], self.keyframe[~resolved], self.area[~resolved]

@@ -1,4 +1,4 @@
-"""Where to look again when no opening is left and the episode goes on: something must have been missed."""
+"""The survey: where to look again when no opening is left but the episode goes on, so that something was missed."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ from agents.slam.se2 import euclidean_distances
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SurveyConfig(ComponentConfig):
-    """What is looked at again; lengths in metres."""
+    """Settings of where to look again; lengths in metres."""
 
     spacing: float = 4.0
-    """Distance from all keyframes, at the least cost of a path, from which a place is gone to in the first round."""
+    """A place is visited in the first round if its path from every keyframe costs at least these metres."""
     spacing_again: float = 2.0
-    """The same, in later rounds."""
+    """The same in later rounds."""
     squeeze: float = 0.06
-    """By how much the robot drives closer to walls after the first round: its radius and no air."""
+    """Distance by which the robot drives closer to walls after the first round, so that no margin is left."""
     waypoint_spacing: float = 3.0
     """Distance between the points of a lap that the robot drives along."""
     arrival: float = 1.2
-    """Distance from a point at which the robot has been there."""
+    """Distance from a point at which the robot counts as having been there."""
     same_lap: float = 3.0
-    """Distance between points in obstacles that are one, before and after a correction of the track."""
+    """Distance within which points in obstacles, before and after a correction of the track, belong to one obstacle."""
 
 
 class Survey:
     """Places to go to when no opening is left, one at a time, in rounds.
 
-    The first round goes to the free space that the robot has only seen from afar, then drives the laps around obstacles
-    that no claimed loop has gone round. The second one looks more closely. Every later one forgets where the robot has
-    been before.
+    The first round visits the free space that the robot has only seen from afar, and then drives the laps around
+    obstacles that no claimed loop goes around. The second round looks more closely. Later rounds forget where the robot
+    has been before.
 
     Parameters
     ----------
@@ -55,9 +55,9 @@ class Survey:
         Range, beam and kind of the point to go to from its keyframe, as those of `Frontiers`; m is 1, or 0 without one.
     keyframe : (m,) int64
     round : int
-        -1 until it is asked for the first time.
+        -1 before the first `update`.
     costmap : CostmapConfig
-        As the map of the whole building is drawn.
+        The settings with which the map of the whole building is drawn.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class Survey:
         ----------
         keyframes : Keyframes
         claims : sequence of (int, int)
-            Steps at which the robot was back, and at which step it was there before.
+            The claims: the step at which the robot was back, and the one at which it was there before.
         pose : (3,)
         """
         if self.round >= 0:
@@ -111,7 +111,7 @@ class Survey:
         self._clear()
 
     def _choose(self, keyframes: Keyframes, claims: Sequence[tuple[int, int]], pose: np.ndarray) -> None:
-        """Choose the nearest place that the robot has not been near; without one, a lap."""
+        """Choose the nearest place that the robot has not been near or, if there is none, a lap."""
         self._clear()
         building = BuildingMap(keyframes, self.range_max, self.costmap, self.building)
         been = np.vstack([keyframes.pose[self._since :, :2], self._given_up])
@@ -136,7 +136,7 @@ class Survey:
 
 
 def _waypoints(lap: np.ndarray, pose: np.ndarray, spacing: float) -> np.ndarray:
-    """Return points along a lap `(m, 2)`, from the one nearest to the robot on and a little beyond it at the end."""
+    """Return points along a lap `(m, 2)` that begin nearest to the robot and end a little beyond a full lap."""
     lap = np.roll(lap, -int(np.argmin(euclidean_distances(lap, pose))), axis=0)
     lap = np.vstack([lap, lap])
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(lap, axis=0).T))])
@@ -145,7 +145,7 @@ def _waypoints(lap: np.ndarray, pose: np.ndarray, spacing: float) -> np.ndarray:
 
 
 def _seen_from(keyframes: Keyframes, point: np.ndarray, beams: int) -> tuple[int, np.ndarray]:
-    """Return the nearest keyframe that sees a point `(2,)`, or the nearest, and the point's range and beam there."""
+    """Return the nearest keyframe that sees a point `(2,)`, else the nearest, and the point's range and beam there."""
     euclidean_m = euclidean_distances(keyframes.pose, point)
     nearest = np.argsort(euclidean_m)
     seen = np.empty(1, np.bool_)

@@ -1,4 +1,4 @@
-"""What a scan sees: how far the robot can drive, which points are in sight, and where unseen space begins.
+"""Visibility: how far the robot can drive in a scan, which points are in sight, and where unseen space begins.
 
 A scan is `(beams,)` ranges in metres, beam 0 straight ahead, counter-clockwise, evenly spaced; 0 where nobody looked.
 The polygon that its endpoints span is free and seen. Poses are (x, y, heading) in the frame of the track; angles are
@@ -23,35 +23,35 @@ reach; any of these that too few scans see through to."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VisibilityConfig(ComponentConfig):
-    """What counts as open, and as explored; lengths in metres."""
+    """Settings of what counts as open and as explored; lengths in metres."""
 
     jump: float = 0.8
-    """Difference of neighboring ranges from which there is an opening between them."""
+    """Difference of neighbouring ranges from which there is an opening between them."""
     jump_doubtful: float = 1.0
-    """The same, where they may be on one wall that is seen at a slant."""
+    """The same for ranges that may be those of one wall seen at a slant."""
     wall_clearance: float = 0.3
-    """Distance of an open point from all walls: a little more than the robot's radius."""
+    """Least distance of an open point from all walls; a little more than the robot's radius."""
     wall_search_beams: int = 25
-    """Beams on either side of a point within which walls are looked for."""
+    """Number of beams on either side of a point within which walls are searched for."""
     corner_clearance: float = 1.0
-    """How far behind a corner the open points begin, at most."""
+    """Greatest distance behind a corner at which its open points begin."""
     reach_clearance: float = 0.3
-    """How far before the end of the longer range they end."""
+    """Distance before the end of the longer range at which they end."""
     point_spacing: float = 0.6
     line_tolerance: float = 0.15
     """Distance from a wall's line within which an endpoint is on that wall."""
     line_length: float = 0.4
-    """Length of the piece of a wall that tells its direction, in metres and as a share of the way to the endpoint."""
+    """Length of the piece of wall that tells its direction: metres, or this share of the endpoint's range if longer."""
     line_beams: int = 11
-    """Beams within which that piece is looked for."""
+    """Number of beams within which that piece is searched for."""
     wall_depth: float = 0.45
-    """How far behind a wall a point is taken to be on it: drift and noise between scans, and niches of no use."""
+    """Distance behind a wall up to which a point counts as on it, because of drift, noise and useless niches."""
     edge_depth: float = 0.15
-    """How far before the edge of what a scan has seen a point must lie, to be explored."""
+    """Least distance of an explored point from the edge of what the scan has seen."""
     beside: float = 1.0
-    """Distance from a scan within which all in sight is explored: else a robot never gets done with an opening."""
+    """Distance from a scan within which everything in sight is explored; else an opening would never be resolved."""
     near_sight: float = 0.6
-    """How far beyond an endpoint a point is still in sight: at the edge of an opening, or a wall."""
+    """Distance beyond an endpoint up to which a point is still in sight, at the edge of an opening or on a wall."""
 
 
 VisibilityValues = kernel_tuple("VisibilityValues", VisibilityConfig, __name__)
@@ -105,10 +105,10 @@ def inside(ranges, pose, points, margin, out):
 
 @compiled
 def seen_through(scans, poses, range_max, points, out):
-    """Write into `out` `(n,)` by how many scans `(m, beams)` at poses `(m, 3)` each point `(n, 2)` is seen as free.
+    """Write into `out` `(n,)` how many of the scans `(m, beams)` at poses `(m, 3)` see each point `(n, 2)` as free.
 
-    Only the beam nearest to the point is asked, so the scans may be as measured, with wrong ranges. A beam that met no
-    wall sees through to points a little beyond its reach, too.
+    Only the beam nearest to a point counts, so the scans may be unfiltered, with wrong ranges. A beam that met no wall
+    also sees points a little beyond its reach.
     """
     n = scans.shape[1]
     spacing = 2 * math.pi / n
@@ -125,7 +125,7 @@ def seen_through(scans, poses, range_max, points, out):
 def is_explored(scans, poses, range_max, points, out, values):
     """Write into `out` `(n,)` which points `(n, 2)` scans `(m, beams)` at poses `(m, 3)` have explored.
 
-    A scan explores what lies before its endpoints, what is at a wall, and what is in sight right beside it.
+    A scan explores the points in front of its endpoints, those at a wall, and those in sight right beside it.
     """
     beams = scans.shape[1]
     spacing = 2 * math.pi / beams
@@ -168,13 +168,13 @@ def _continues(ranges, range_max, k, step, far, values):
 
 @compiled
 def _on_one_wall(ranges, range_max, k, other, values):
-    """Return whether the endpoints of two neighboring beams are on one wall."""
+    """Return whether the endpoints of two neighbouring beams are on one wall."""
     return _continues(ranges, range_max, k, -1, other, values) or _continues(ranges, range_max, other, 1, k, values)
 
 
 @compiled
 def _is_clear(ranges, range_max, r, beam, values):
-    """Return whether the point (range, beam) is off all walls by the clearance of open points."""
+    """Return whether the point (range, beam) has the clearance of open points from all walls."""
     n = ranges.shape[0]
     spacing = 2 * math.pi / n
     x, y = r * math.cos(beam * spacing), r * math.sin(beam * spacing)

@@ -82,6 +82,11 @@ class KnnExplorer(LoopObserver, Agent):
         return 0.0, self.config.observer.look_speed
 
     @property
+    def belief(self) -> np.ndarray:
+        """Where it believes to be, from where it started: its track."""
+        return self.tracker.pose
+
+    @property
     def stopped(self) -> bool:
         """Whether there is nothing left to explore and it doesn't look again, so that it stands still from now on."""
         return self.done and self.survey is None

@@ -34,7 +34,8 @@ class Policy(Protocol):
     """The interface of a policy.
 
     It may also have ``reseed(state, seeds) -> state``, which gets the seeds of the episodes that begin (None for other
-    rows), so that random numbers need not depend on the row or the batch.
+    rows), so that random numbers need not depend on the row or the batch; and ``attach(env)``, which gets the
+    environment before the first episode, if it is privileged to look into it.
     """
 
     def predict(
@@ -187,6 +188,9 @@ class _Batch:
     def __init__(self, policy: Policy, env: VectorEnv, seeds: Sequence[int]) -> None:
         count = env.num_envs
         self._policy, self._env = policy, env
+        attach = getattr(policy, "attach", None)
+        if attach is not None:
+            attach(env)
         self._waiting = deque(seeds)
         self._seeds: list[int | None] = [self._next_seed() for _ in range(count)]
         self._observation, _ = env.reset(seed=[0 if seed is None else seed for seed in self._seeds])  # pyright: ignore[reportArgumentType]

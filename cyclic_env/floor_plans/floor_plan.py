@@ -232,8 +232,23 @@ class FloorPlan:
         """
         from cyclic_env.floor_plans import tour  # imports networkx, which nothing else needs
 
+        return tour.closed_tour(self._corridor_lines(), RESOLUTION)
+
+    def closed_tour_path(self) -> np.ndarray:
+        """Return the corners `(n, 2)` of a tour as long as `closed_tour` says, metres; it ends where it begins.
+
+        It is empty where there is no tour.
+        """
+        from cyclic_env.floor_plans import tour
+
+        return tour.closed_tour_path(self._corridor_lines(), RESOLUTION)
+
+    def _corridor_lines(self) -> list[LineString]:
+        """Return the centrelines, and the joins that they lack."""
+        from cyclic_env.floor_plans import tour
+
         lines = [LineString(line) for line in self.centrelines if len(line) > 1]
-        return tour.closed_tour([*lines, *tour.joins(lines, self.free_space.boundary)], RESOLUTION)
+        return [*lines, *tour.joins(lines, self.free_space.boundary)]
 
 
 def polygon_from_rings(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import networkx as nx
 import numpy as np
@@ -33,22 +34,48 @@ def closed_tour(lines: Sequence[LineString], resolution: float = 1e-6) -> float:
     return graph.size(weight="weight") + repeated_length(graph)
 
 
+def closed_tour_path(lines: Sequence[LineString], resolution: float = 1e-6) -> np.ndarray:
+    """Return the corners `(n, 2)` of a shortest closed tour, as `closed_tour` measures it; the last is the first again.
+
+    It is empty where there is no tour.
+    """
+    graph = corridor_graph(lines, resolution)
+    if not graph or not nx.is_connected(graph):
+        return np.zeros((0, 2))
+    for way in repeated_ways(graph):
+        for a, b in pairwise(way):
+            shortest = min(graph[a][b].values(), key=lambda edge: edge["weight"])
+            graph.add_edge(a, b, **shortest)
+    parts = []
+    for a, b, key in nx.eulerian_circuit(graph, keys=True):
+        edge = graph.edges[a, b, key]
+        parts.append(edge["line"] if edge["first"] == a else edge["line"][::-1])
+    return np.concatenate([part[:-1] for part in parts] + [parts[0][:1]])
+
+
 def corridor_graph(lines: Sequence[LineString], resolution: float) -> nx.MultiGraph:
-    """Cut lines where they meet; return a graph whose edges are the pieces, with their lengths as weights."""
+    """Cut lines where they meet; return a graph whose edges are the pieces, with their lengths as weights.
+
+    An edge also has its piece as a ``line`` `(n, 2)`, which begins at the node ``first``.
+    """
     pieces = shapely.get_parts(shapely.line_merge(shapely.union_all(lines, grid_size=resolution)))
     points = shapely.get_coordinates(shapely.get_point(pieces[:, None], [0, -1]))
     _, nodes = np.unique(points, axis=0, return_inverse=True)
     graph = nx.MultiGraph()
-    graph.add_weighted_edges_from(
-        (a, b, length) for (a, b), length in zip(nodes.reshape(-1, 2).tolist(), shapely.length(pieces), strict=True)
-    )
+    for (a, b), piece in zip(nodes.reshape(-1, 2).tolist(), pieces, strict=True):
+        graph.add_edge(a, b, weight=piece.length, line=shapely.get_coordinates(piece), first=a)
     return graph
 
 
 def repeated_length(graph: nx.MultiGraph) -> float:
-    """Return the length of the edges of a connected graph that a shortest closed tour drives a second time.
+    """Return the length of the edges of a connected graph that a shortest closed tour drives a second time."""
+    return sum(nx.path_weight(graph, way, "weight") for way in repeated_ways(graph))
 
-    Those are shortest paths between pairs of nodes where an odd number of edges meets, paired so that their total is
+
+def repeated_ways(graph: nx.MultiGraph) -> list[list[int]]:
+    """Return the paths in a connected graph that a shortest closed tour drives a second time, as lists of nodes.
+
+    They are shortest paths between pairs of nodes where an odd number of edges meets, paired so that their total is
     least: J. Edmonds and E. L. Johnson, "Matching, Euler tours and the Chinese postman", Mathematical Programming 5
     (1973).
     """
@@ -57,7 +84,8 @@ def repeated_length(graph: nx.MultiGraph) -> float:
     for i, node in enumerate(odd):
         distances = nx.single_source_dijkstra_path_length(graph, node)
         detours.add_weighted_edges_from((node, other, distances[other]) for other in odd[i + 1 :])
-    return sum(detours.edges[pair]["weight"] for pair in nx.min_weight_matching(detours))
+    pairs = nx.min_weight_matching(detours)
+    return [nx.dijkstra_path(graph, a, b) for a, b in pairs]
 
 
 def joins(lines: Sequence[LineString], walls: shapely.Geometry) -> list[LineString]:

@@ -23,6 +23,8 @@ ERRORS = np.dtype(
     [
         ("scale", "f8"),  # of the distance meter, a factor of the true distance
         ("drift", "f8"),  # of the distance meter, metres per square root of a metre driven
+        ("slip_rate", "f8"),  # slips of the wheels per metre driven
+        ("slip_length", "f8"),  # mean of a slip, metres
         ("white", "f8"),  # noise of the compass, radians
         ("field_amplitude", "f8"),  # of each wave of the compass field, radians
         ("laser_sigma", "f8"),
@@ -96,6 +98,7 @@ class Sensors:
         self.errors = np.zeros(num_robots, ERRORS)
         self._drifts = any(one.distance_drift > 0 or one.compass_white_deg > 0 for one in noise)
         self._normals = np.zeros((num_robots, 2))
+        self._slips = np.zeros((num_robots, 1 if any(one.wheels_slip for one in noise) else 0), np.float32)
         drawn = 0 if self._laser_is_exact else laser.num_beams
         # Single precision, like the observations, takes half the time to draw.
         self._beam_uniforms = np.zeros((num_robots, drawn), np.float32)
@@ -108,6 +111,8 @@ class Sensors:
         self.errors[row] = (
             1.0,
             noise.distance_drift,
+            noise.slip_rate,
+            noise.slip_length,
             math.radians(noise.compass_white_deg),
             math.radians(noise.compass_field_deg) * math.sqrt(2 / FIELD_WAVES),
             noise.laser_sigma,
@@ -135,6 +140,8 @@ class Sensors:
         """
         self._draw(rows, rngs)
         read_rows(rows, drive, self.errors, self.field, self._normals, self.distance, self.compass)
+        if self._slips.size:
+            slip_rows(rows, drive, self.errors, self._slips, self.distance)
         if self._laser_is_exact:
             return
         disturb_rows(
@@ -149,16 +156,17 @@ class Sensors:
 
     def _draw(self, rows: np.ndarray, rngs: Sequence[np.random.Generator]) -> None:
         """Draw the random numbers of a step, from each robot's own generator."""
-        if not self._drifts and self._laser_is_exact:
+        if not self._drifts and self._laser_is_exact and not self._slips.size:
             return
         if all(FILLS):
             generators = [rngs[row].bit_generator.ctypes.bit_generator.value for row in rows.tolist()]
-            arrays = self._normals, self._beam_uniforms, self._beam_normals
+            arrays = self._normals, self._slips, self._beam_uniforms, self._beam_normals
             draw_rows(rows, np.array(generators, np.int64), FILLS, self._drifts, *arrays)
             return
         for row in rows:
             if self._drifts:
                 rngs[row].standard_normal(out=self._normals[row])
+            rngs[row].random(dtype=np.float32, out=self._slips[row])
             rngs[row].random(dtype=np.float32, out=self._beam_uniforms[row])
             rngs[row].standard_normal(dtype=np.float32, out=self._beam_normals[row])
 
@@ -169,7 +177,7 @@ class Sensors:
 
 
 @compiled
-def draw_rows(rows, generators, fills, drifts, normals, beam_uniforms, beam_normals):
+def draw_rows(rows, generators, fills, drifts, normals, slips, beam_uniforms, beam_normals):
     """Fill `rows` of the arrays with random numbers, and `normals` only if a meter or compass `drifts`.
 
     `generators` holds the addresses of these robots' generators.
@@ -178,6 +186,7 @@ def draw_rows(rows, generators, fills, drifts, normals, beam_uniforms, beam_norm
         row, generator = rows[i], generators[i]
         if drifts:
             call_c(fills.normal, (generator, normals.shape[1], normals[row].ctypes.data))
+        call_c(fills.uniform_f, (generator, slips.shape[1], slips[row].ctypes.data))
         call_c(fills.uniform_f, (generator, beam_uniforms.shape[1], beam_uniforms[row].ctypes.data))
         call_c(fills.normal_f, (generator, beam_normals.shape[1], beam_normals[row].ctypes.data))
 
@@ -200,6 +209,20 @@ def read_rows(rows, drive, errors, field, normals, distance, compass):
         deflection = field_at(field[row], noise.field_amplitude, robot.x, robot.y)
         shown = robot.angle + deflection + noise.white * normals[row, 1]
         compass[row, 0], compass[row, 1] = math.cos(shown), math.sin(shown)
+
+
+@compiled
+def slip_rows(rows, drive, errors, uniforms, distance):
+    """Add the slips of the wheels in the last step to the distance meters of the robots `rows`.
+
+    One uniform number of `uniforms` `(N, 1)` decides whether there is a slip and, scaled, how long it is.
+    """
+    for row in rows:
+        noise, travel = errors[row], drive[row].travel
+        probability = 1.0 - math.exp(-noise.slip_rate * abs(travel))
+        u = float(uniforms[row, 0])
+        if u < probability:
+            distance[row] += math.copysign(-noise.slip_length * math.log(1.0 - u / probability), travel)
 
 
 @compiled

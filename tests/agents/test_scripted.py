@@ -72,7 +72,7 @@ def cycles_gone_round(way: np.ndarray, plan: FloorPlan) -> int:
 def test_actions_are_in_the_space_for_one_robot_and_for_many(name: str, action_type: ActionType) -> None:
     env = CyclicLoopVectorEnv(3, "ring", action_type=action_type, autoreset_mode="SAME_STEP")
     observation, _ = env.reset(seed=0)
-    agent = make_agent(name, action_type=action_type)
+    agent = make_agent(name, env, action_type=action_type)
     actions, state = agent.predict(observation, None, np.ones(3, bool))
     actions, state = agent.predict(observation, state, np.zeros(3, bool))
     assert env.action_space.contains(actions)

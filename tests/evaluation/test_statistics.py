@@ -4,13 +4,23 @@ from __future__ import annotations
 
 import json
 import math
+from typing import Any
 
 import numpy as np
 import pytest
-from scipy.stats import bootstrap
+from scipy.stats import bootstrap, ecdf, mannwhitneyu, trim_mean
 
 from cyclic_env import ConfigError
-from cyclic_env.evaluation.statistics import mean_interval, paired_difference, pooled_share, wilson_interval
+from cyclic_env.evaluation.statistics import (
+    interquartile_mean,
+    mean_interval,
+    paired_difference,
+    performance_profile,
+    pooled_share,
+    probability_of_improvement,
+    stratified_interval,
+    wilson_interval,
+)
 from tests.helpers import evaluation, record
 
 
@@ -92,3 +102,47 @@ def test_json_holds_no_nan() -> None:
     summary = json.loads(json.dumps(evaluation(silent).to_json(), allow_nan=False))["summary"]
     assert summary["return"] == {"mean": 4.0, "low": None, "high": None}
     assert summary["recall"]["mean"] is None
+
+
+# Over several plans.
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 4, 7, 8, 101])
+def test_the_interquartile_mean_is_scipys_trimmed_mean(count: int) -> None:
+    values = np.random.default_rng(count).normal(size=(3, count))
+    np.testing.assert_allclose(interquartile_mean(values), trim_mean(values, 0.25, axis=1), rtol=1e-12)
+
+
+def test_the_bootstrap_of_one_stratum_is_scipys() -> None:
+    values = np.random.default_rng(0).gamma(2.0, size=80)
+    options: Any = {"method": "percentile", "n_resamples": 20_000, "rng": 1}
+    for statistic in (interquartile_mean, lambda drawn: drawn.mean(axis=-1)):
+        low, high = stratified_interval(values, np.zeros(80), statistic, resamples=20_000)
+        its = bootstrap((values,), lambda drawn, axis: statistic(drawn), **options).confidence_interval  # noqa: B023
+        assert (low, high) == pytest.approx((its.low, its.high), abs=0.02)
+
+
+def test_strata_keep_their_sizes_so_that_differences_between_them_widen_no_interval() -> None:
+    strata = np.repeat([0, 1, 2], 20)
+    values = 100.0 * strata + np.random.default_rng(0).normal(size=60)
+    mean = lambda drawn: drawn.mean(axis=-1)  # noqa: E731
+    low, high = stratified_interval(values, strata, mean)
+    assert high - low < 1.0
+    loose = stratified_interval(values, np.zeros(60), mean)
+    assert loose[1] - loose[0] > 20
+    assert stratified_interval(values, strata, mean) == (low, high)
+    assert np.isnan(stratified_interval(values, np.arange(60), mean)).all()
+
+
+def test_a_profile_is_the_share_of_runs_that_reach_each_threshold() -> None:
+    values = np.array([1.0, 2.0, 2.0, 5.0])
+    assert performance_profile(values, np.array([0.0, 1.0, 1.5, 2.0, 5.0, 5.1])).tolist() == [1, 1, 0.75, 0.75, 0.25, 0]
+    grid = np.linspace(0, 6, 50)
+    np.testing.assert_allclose(performance_profile(values, grid), ecdf(values).sf.evaluate(grid - 1e-9))
+
+
+def test_the_probability_of_improvement_is_mann_and_whitneys_u() -> None:
+    rng = np.random.default_rng(0)
+    a, b = rng.integers(0, 9, 30).astype(float), rng.integers(0, 8, 25).astype(float)
+    assert probability_of_improvement(a, b) == pytest.approx(mannwhitneyu(a, b).statistic / (30 * 25))
+    assert probability_of_improvement(a, a) == 0.5

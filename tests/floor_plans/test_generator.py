@@ -150,6 +150,14 @@ def test_a_generated_building_never_changes(name: str) -> None:
     assert digest(load_floor_plan(name)) == GOLDEN[name]
 
 
+def test_the_hard_splits_have_many_cycles_and_places_that_look_alike() -> None:
+    for split in ("hard_train", "hard_validation", "hard_test"):
+        specs = [split_spec(split, index) for index in range(SPLITS[split].plans)]
+        assert {spec.cycles for spec in specs} == set(range(6, 13))
+        assert min(spec.aliasing for spec in specs) >= 0.7
+        assert load_floor_plan(f"generated:{split},index=1").cycles_total == specs[1].cycles
+
+
 def test_another_process_draws_the_same_buildings() -> None:
     code = (
         "from tests.floor_plans.test_generator import GOLDEN, digest\n"
@@ -227,7 +235,7 @@ def test_commas_separate_maps_but_not_the_keys_of_one() -> None:
 
 def test_splits_share_no_seed_with_each_other_or_with_those_given_by_hand() -> None:
     seeds = [split_spec(split, i).seed for split in SPLITS for i in range(SPLITS[split].plans)]
-    assert len(set(seeds)) == len(seeds) == 256 + 64 + 200
+    assert len(set(seeds)) == len(seeds) == 2 * (256 + 64 + 200)
     assert min(seeds) > HAND_SEED_MAX
 
 

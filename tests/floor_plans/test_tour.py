@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from shapely.geometry import LineString, Polygon
 
 from cyclic_env.floor_plans import FloorPlan, floor_plan_from_mapping, load_floor_plan
-from cyclic_env.floor_plans.tour import closed_tour, repeated_length
+from cyclic_env.floor_plans.tour import closed_tour, closed_tour_path, repeated_length
 
 BLOCK = [(0, 0), (20, 0), (20, 10), (0, 10), (0, 0)]
 GRID = [[(10 * k, 0), (10 * k, 30)] for k in range(4)] + [[(0, 10 * k), (30, 10 * k)] for k in range(4)]
@@ -46,6 +46,19 @@ SUBSETS = {n: np.array(list(itertools.product([0, 1], repeat=n))) for n in range
 
 def tour_of(lines: list) -> float:
     return closed_tour([LineString(line) for line in lines])
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_the_path_of_a_tour_is_as_long_as_the_tour_drives_all_and_comes_back(shape: str) -> None:
+    lines, length = [LineString(line) for line in SHAPES[shape][0]], SHAPES[shape][1]
+    path = LineString(closed_tour_path(lines))
+    assert path.length == pytest.approx(length)
+    assert path.is_closed
+    assert path.buffer(1e-6).covers(shapely.union_all(lines))
+
+
+def test_lines_that_are_not_connected_have_no_path() -> None:
+    assert closed_tour_path([LineString([(0, 0), (1, 0)]), LineString([(0, 5), (1, 5)])]).shape == (0, 2)
 
 
 def plan_tour(*corridors: tuple[float, list]) -> float:

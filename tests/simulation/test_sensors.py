@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 import shapely
-from scipy.stats import kstest, norm
+from scipy.stats import expon, kstest, norm
 
 from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv
 from cyclic_env.config import NOISE_PRESETS, LaserConfig, NoiseConfig
@@ -85,6 +85,18 @@ def test_a_robot_that_stands_does_not_drift_and_one_that_goes_back_does() -> Non
     to_and_fro = driven(NoiseConfig(distance_drift=0.05), np.array([1.0, -1.0, 1.0, -1.0]))[-1]
     check_spread(to_and_fro, 0.05 * 2)
     assert driven(NoiseConfig(distance_scale=0.05), np.array([3.0, -3.0]))[-1] == pytest.approx(np.zeros(RNGS))
+
+
+def test_slips_come_at_their_rate_and_add_their_length_where_the_robot_drives() -> None:
+    noise = NoiseConfig(slip_rate=0.04, slip_length=0.3)
+    ahead = np.diff(driven(noise, np.full(200, 0.25)), axis=0) - 0.25
+    slips = ahead[ahead > 1e-9]
+    assert (ahead > -1e-9).all()
+    check_share(ahead > 1e-9, 1 - math.exp(-0.04 * 0.25))
+    check_same(slips, expon(scale=0.3).cdf)
+    back = driven(noise, np.full(200, -0.25), 200)[-1] + 50
+    assert back.mean() == pytest.approx(-50 * 0.04 * 0.3, rel=0.3)
+    assert not driven(noise, np.zeros(50), 200).any()
 
 
 def distance_after(dt: float, noise: NoiseConfig, robots: int) -> np.ndarray:
@@ -293,7 +305,13 @@ def test_a_seed_gives_the_same_readings_in_a_batch_of_any_size(preset: str) -> N
 
 
 @pytest.mark.parametrize(
-    "noise", ["calibrated", "poor", NoiseConfig(laser_sigma=0.1), NoiseConfig(compass_white_deg=1)]
+    "noise",
+    [
+        *("calibrated", "poor", "hard"),
+        NoiseConfig(laser_sigma=0.1),
+        NoiseConfig(compass_white_deg=1),
+        NoiseConfig(slip_rate=1, slip_length=1),
+    ],
 )
 def test_numbers_are_those_that_the_generators_own_methods_draw(noise: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     runs = []

@@ -84,3 +84,14 @@ def _values(items: Sequence[str], keys: Sequence[str]) -> dict[str, Any]:
             )
         values[key] = float(text) if "." in text else int(text)
     return values
+
+
+def building_spec(name: str) -> BuildingSpec | None:
+    """Return the specification of the building with that name; None if it is not the name of a generated one."""
+    if not is_generated(name):
+        return None
+    first, *others = name.removeprefix(PREFIX).removeprefix(":").split(",")
+    if first in SPLITS:
+        return split_spec(first, int(_values(others, ("index",))["index"]))
+    keys = tuple(field.name for field in fields(BuildingSpec))
+    return BuildingSpec(**_values([first, *others] if first else others, keys))

@@ -106,24 +106,38 @@ class BuildingSpec:
 
 
 class Split(NamedTuple):
-    """A named set of buildings: their number and the seed of the first."""
+    """A named set of buildings: their number, the seed of the first, and the ranges of their cycles and aliasing."""
 
     plans: int
     first_seed: int
+    cycles: tuple[int, int] = (1, 8)
+    aliasing: tuple[float, float] = (0.0, 1.0)
 
 
-SPLITS = {"train": Split(256, 1_000_000), "validation": Split(64, 2_000_000), "test": Split(200, 3_000_000)}
+HARD_CYCLES, HARD_ALIASING = (6, 12), (0.7, 1.0)
+"""Ranges of the hard splits: many loops to close, in buildings whose places look alike."""
+
+SPLITS = {
+    "train": Split(256, 1_000_000),
+    "validation": Split(64, 2_000_000),
+    "test": Split(200, 3_000_000),
+    "hard_train": Split(256, 4_000_000, HARD_CYCLES, HARD_ALIASING),
+    "hard_validation": Split(64, 5_000_000, HARD_CYCLES, HARD_ALIASING),
+    "hard_test": Split(200, 6_000_000, HARD_CYCLES, HARD_ALIASING),
+}
 """Buildings to train on, to choose settings with, and to report results on; nothing may be tuned on the last."""
 
 
 def split_spec(split: str, index: int) -> BuildingSpec:
     """Return the specification of building `index` of a split, drawn from its seed over the ranges of the benchmark."""
-    seed = SPLITS[split].first_seed + index
+    chosen = SPLITS[split]
+    seed = chosen.first_seed + index
     draw = Draw(seed, 0)
+    fewest, most = chosen.cycles
     return BuildingSpec(
         seed=seed,
-        cycles=1 + draw.below(8),
-        aliasing=draw.between(0.0, 1.0),
+        cycles=fewest + draw.below(most - fewest + 1),
+        aliasing=draw.between(*chosen.aliasing),
         size=draw.between(18.0, 28.0),
         width=draw.between(1.8, 3.0),
         rooms=draw.between(0.0, 0.6),

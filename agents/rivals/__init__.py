@@ -1,0 +1,1 @@
+"""Agents to compare with: classic frontier explorers, and privileged ones that bound what is possible."""

@@ -1,0 +1,1 @@
+"""The comparison of agents: runs, a table that grows, statistics, figures, and a page with replays."""
