@@ -106,9 +106,9 @@ class LoopDetector(ABC):
 
     def _back_at(self, keyframes: Keyframes, keyframe: int, geodesic_m: np.ndarray) -> Detection:
         """Return that the robot is back at a keyframe, to be connected to it unless the way there is direct."""
-        return Detection(int(keyframes.step[keyframe]), self._indirect(keyframes, keyframe, geodesic_m))
+        return Detection(int(keyframes.step[keyframe]), self.indirect(keyframes, keyframe, geodesic_m))
 
-    def _indirect(
+    def indirect(
         self, keyframes: Keyframes, keyframe: int, geodesic_m: np.ndarray, otherwise: int | None = None
     ) -> int | None:
         """Return a keyframe at which the robot is, if the way there is not direct and it is to be joined."""
@@ -193,7 +193,7 @@ class MappedDetector(LoopDetector):
         back = mapper.back_at()
         if back is not None:
             found.step = int(mapper.run.step[back])
-            found.connects = self._indirect(keyframes, tracker.row_at(back), geodesic_m, found.connects)
+            found.connects = self.indirect(keyframes, tracker.row_at(back), geodesic_m, found.connects)
         return found
 
 

@@ -67,7 +67,7 @@ class LoopObserver:
         self.indicators = [0, 0, 0, 0]
         self.groups: list[Group] = []
         self.reader = LaserReader(config.laser(beams))
-        self._bearings, around, _ = panorama_beams(self.reader.laser)
+        self._bearings, around = panorama_beams(self.reader.laser)
         self._unseen = np.ones(around, np.bool_)
         self._unseen[self._bearings] = False
         self.keyframes = Keyframes(around, config.sectors, config.keyframes)

@@ -11,9 +11,9 @@ from agents.component_config import ComponentConfig
 from agents.slam.local_tracker import LocalTracker, LocalTrackerConfig
 from agents.slam.loop_closer import LoopCloser, LoopCloserConfig, in_sight
 from agents.slam.odometry import OdometryConfig, OdometryModel
-from agents.slam.panorama import keep_steady, merge_scans, panorama_beams, signature, spread_beams
+from agents.slam.panorama import keep_steady, merge_scans, panorama_beams, panorama_offset, signature, spread_beams
 from agents.slam.pose_graph import PoseGraphConfig
-from agents.slam.registration import PanoramaMatcher
+from agents.slam.registration import PanoramaMatcher, Registration
 from agents.slam.run_map import RunMap
 from agents.slam.scan_filters import despeckle
 from agents.slam.scan_matching import MatcherConfig
@@ -80,7 +80,8 @@ class Mapper:
     def __init__(self, laser: LaserConfig, config: MapperConfig | None = None) -> None:
         self.config = config or MapperConfig()
         self.laser = laser
-        self._beams, self._count, self._offset = panorama_beams(laser)
+        self._beams, self._count = panorama_beams(laser)
+        self._offset = panorama_offset(laser)
         keyframing = self.config.keyframing
         self.range_max = min(laser.range_max, keyframing.range_max)
         around = laser.sees_all_around
@@ -168,6 +169,13 @@ class Mapper:
         if self.loops.update():
             self.optimize()
         self.pose = run.pose[i].copy()
+
+    def close_loop(self, earlier: int, found: Registration) -> None:
+        """Take it that the last keyframe lies in an earlier one's frame as something else has found."""
+        self.run.add_loop(earlier, self.run.count - 1, found)
+        self.run.closures += 1
+        self.optimize()
+        self.pose = self.run.pose[-1].copy()
 
     def optimize(self) -> None:
         """Fit the poses of all keyframes to all that has been measured."""

@@ -44,22 +44,19 @@ def spread_beams(ranges: np.ndarray, beams: np.ndarray, count: int) -> np.ndarra
     return panorama
 
 
-def panorama_beams(laser: LaserConfig) -> tuple[np.ndarray, int, float]:
-    """Return where a laser's beams lie in a panorama.
+def panorama_beams(laser: LaserConfig) -> tuple[np.ndarray, int]:
+    """Return which beam of a panorama each beam of a laser is `(num_beams,)`, and how many beams the panorama has."""
+    count = round(math.tau / laser.beam_spacing)
+    return (_first_beam(laser) + np.arange(laser.num_beams)) % count, count
 
-    Returns
-    -------
-    beams : (num_beams,) int64
-        Which beam of the panorama each of the laser's is.
-    count : int
-        How many beams the panorama has.
-    offset : float
-        Bearing of the panorama's beam 0, radians: less than half of a beam from straight ahead.
-    """
-    spacing = laser.beam_spacing
-    count = round(math.tau / spacing)
-    first = math.floor(laser.first_bearing / spacing + 0.5)
-    return (first + np.arange(laser.num_beams)) % count, count, laser.first_bearing - first * spacing
+
+def panorama_offset(laser: LaserConfig) -> float:
+    """Return the bearing of a panorama's beam 0, radians: at most half a beam from straight ahead."""
+    return laser.first_bearing - _first_beam(laser) * laser.beam_spacing
+
+
+def _first_beam(laser: LaserConfig) -> int:
+    return math.floor(laser.first_bearing / laser.beam_spacing + 0.5)
 
 
 @compiled

@@ -10,6 +10,7 @@ import numpy as np
 
 from agents.slam.keyframes import Keyframes
 from agents.slam.mapper import Mapper, MapperConfig
+from agents.slam.registration import Registration
 from agents.slam.se2 import wrap_angle
 from cyclic_env.config import LaserConfig
 
@@ -182,6 +183,11 @@ class MappingTracker(PoseTracker):
     def join(self, row: int) -> None:
         """Let a way lead straight from one to the other."""
         self.mapper.run.connect(self.rows[row], self.rows[-1])
+
+    def close_loop(self, keyframes: Keyframes, row: int, found: Registration) -> None:
+        """Take it that the last row lies in an earlier one's frame as was found, and correct all rows."""
+        self.mapper.close_loop(self.rows[row], found)
+        keyframes.pose[:] = self.mapper.run.pose[self.rows]
 
     def row_at(self, keyframe: int) -> int:
         """Return the row that was taken last before one of the mapper's keyframes, or there."""

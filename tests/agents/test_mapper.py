@@ -11,7 +11,14 @@ from agents.slam.consistency import find_consistent, grow_set
 from agents.slam.local_graph import optimize_window
 from agents.slam.mapper import Mapper
 from agents.slam.odometry import OdometryConfig, OdometryModel
-from agents.slam.panorama import merge_scans, panorama_beams, signature, signature_distances, spread_beams
+from agents.slam.panorama import (
+    merge_scans,
+    panorama_beams,
+    panorama_offset,
+    signature,
+    signature_distances,
+    spread_beams,
+)
 from agents.slam.pose_graph import optimize
 from agents.slam.registration import PanoramaMatcher
 from agents.slam.robust_graph import optimize_robustly
@@ -37,13 +44,13 @@ def half_of(panorama: np.ndarray) -> np.ndarray:
 
 
 def test_the_beams_of_a_half_turn_are_put_on_their_bearings() -> None:
-    beams, count, offset = panorama_beams(HALF)
-    assert (count, offset) == (360, 0.0)
+    beams, count = panorama_beams(HALF)
+    assert (count, panorama_offset(HALF)) == (360, 0.0)
     np.testing.assert_array_equal(beams, np.arange(-90, 90) % 360)
     assert (spread_beams(np.ones(180), beams, count) > 0).sum() == 180
-    between, count, offset = panorama_beams(LaserConfig(num_beams=180, field_of_view=math.pi))
-    assert len(set(between.tolist())) == 180
-    assert offset == pytest.approx(-0.5 * math.tau / count)
+    between = LaserConfig(num_beams=180, field_of_view=math.pi)
+    assert len(set(panorama_beams(between)[0].tolist())) == 180
+    assert panorama_offset(between) == pytest.approx(-0.5 * between.beam_spacing)
 
 
 def test_what_was_not_looked_at_is_neither_for_a_match_nor_against_it() -> None:
