@@ -15,12 +15,11 @@ from agents.slam.registration import PanoramaMatcher, Registration
 from agents.slam.run_map import RunMap
 from agents.slam.scan_matching import Reference
 from agents.slam.se2 import compose, relative
+from cyclic_env.config import LaserConfig
 
 TURNS = np.radians([0, 6, -6, 12, -12, 18, -18, 25, -25, 32, -32])
-"""Headings that are tried about the expected one, as far as the heading's turns are known to err, and all of them if
-no match is found: wheels slip most where a robot turns."""
-CONVERGES = math.radians(5)
-"""Error of the heading at a start from which a match still converges."""
+"""Headings that are tried about the expected one while no match holds it: wheels slip most where a robot turns. Scans
+all around overlap so much that the others are tried only if the expected one fails."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,7 +31,7 @@ class LocalTrackerConfig(ComponentConfig):
     """Of the track against a keyframe a little further back."""
     matched: int = 4
     """Earlier keyframes that are matched: those 1, 2, 4, ... before."""
-    path_max: float = 5.0
+    path_max: float = 8.0
     """Way to the farthest of them."""
     wide_min: float = 0.75
     seen_share: float = 0.22
@@ -51,8 +50,7 @@ class LocalTracker:
     run : RunMap
     matcher : PanoramaMatcher
     odometry : OdometryModel
-    beams : int
-        Of the laser.
+    laser : LaserConfig
     config : LocalTrackerConfig
 
     Attributes
@@ -62,10 +60,16 @@ class LocalTracker:
     """
 
     def __init__(
-        self, run: RunMap, matcher: PanoramaMatcher, odometry: OdometryModel, beams: int, config: LocalTrackerConfig
+        self,
+        run: RunMap,
+        matcher: PanoramaMatcher,
+        odometry: OdometryModel,
+        laser: LaserConfig,
+        config: LocalTrackerConfig,
     ) -> None:
         self.run, self.matcher, self.odometry, self.config = run, matcher, odometry, config
-        self._seen_min = config.seen_share * beams
+        self._seen_min, self._all_around = config.seen_share * laser.num_beams, laser.sees_all_around
+        self._step_information = np.diag(odometry.std**-2)
         position, heading = config.guess_position_std, config.guess_heading_std
         self._guess_std = np.array([position, position, heading])
         size = 3 * (config.window + 1)
@@ -80,7 +84,7 @@ class LocalTracker:
         if i == 0:
             return
         run.pose[i] = compose(run.pose[i - 1], odometry)
-        run.sources[i, 0], run.measured[i, 0], run.information[i, 0] = i - 1, odometry, self.odometry.information
+        run.sources[i, 0], run.measured[i, 0], run.information[i, 0] = i - 1, odometry, self._step_information
         held = False
         for slot in range(1, config.matched + 1):
             j = i - 2 ** (slot - 1)
@@ -102,9 +106,9 @@ class LocalTracker:
         run, config, model = self.run, self.config, self.odometry
         expected = relative(run.pose[j], run.pose[-1])
         std = model.std if slot == 1 else self._guess_std
-        likely = 1 if held else max(1, int(np.searchsorted(np.abs(TURNS), model.turn_limit - CONVERGES, "right")))
+        rounds = (TURNS[:1],) if held else (TURNS[:1], TURNS[1:]) if self._all_around else (TURNS,)
         reference = self.scans[j - run.count]
-        for turns in (TURNS[:likely], TURNS[likely:]) if not held else (TURNS[:1],):
+        for turns in rounds:
             starts = expected + np.column_stack([np.zeros((len(turns), 2)), turns])
             found = self.matcher.match(reference, run.scan[-1], starts, std)
             agrees = found.wide > config.wide_min and found.seen > self._seen_min

@@ -90,7 +90,7 @@ class Mapper:
         matcher = PanoramaMatcher(self.range_max, self.config.matcher)
         self.run = RunMap(self._count, self.config.tracker.matched + 2)
         self.odometry = OdometryModel(self.config.odometry)
-        self.tracker = LocalTracker(self.run, matcher, self.odometry, laser.num_beams, self.config.tracker)
+        self.tracker = LocalTracker(self.run, matcher, self.odometry, laser, self.config.tracker)
         self.loops = LoopCloser(self.run, self.tracker, matcher, laser.num_beams, self.config.loops)
         self.matcher = matcher
         self.pose = np.zeros(3)

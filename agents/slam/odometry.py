@@ -19,8 +19,6 @@ class OdometryConfig(ComponentConfig):
     position_std: float = 0.05
     heading_std: float = math.radians(4)
     """Of the wheels' odometry from one keyframe to the next: what a worn robot does at most."""
-    heading_std_min: float = math.radians(0.02)
-    """What a compass's turn errs by at least."""
     memory: int = 30
     """Keyframes over which the variance of the compass's turns is taken."""
     loop_memory: int = 30
@@ -51,6 +49,8 @@ class OdometryModel:
     ----------
     scale : float
         Metres driven for each metre that the distance meter shows.
+    std : (3,) float64
+        Standard deviations of the odometry from one keyframe to the next.
     turn_variance : float
         Mean squared error of the compass's turns from keyframe to keyframe, as the scans have it.
     """
@@ -64,17 +64,6 @@ class OdometryModel:
         self._scale_information = config.scale_std**-2
         position, heading = config.position_std, config.heading_std
         self.std = np.array([position, position, heading])
-
-    @property
-    def information(self) -> np.ndarray:
-        """Inverse covariance of the odometry from keyframe to keyframe, `(3, 3)`."""
-        heading = min(max(self.turn_variance, self.config.heading_std_min**2), self.config.heading_std**2)
-        return np.diag([self.config.position_std**-2, self.config.position_std**-2, 1 / heading])
-
-    @property
-    def turn_limit(self) -> float:
-        """By how much a turn may err, radians: three standard deviations."""
-        return 3 * math.sqrt(self.turn_variance)
 
     @property
     def heading_information(self) -> float:
