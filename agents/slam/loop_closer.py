@@ -22,6 +22,12 @@ SEARCH_STD = np.array([1.0, 1.0, math.radians(10)])
 HOLD_STD = np.array([0.3, 0.3, math.radians(5)])
 
 
+SIGHT_HALF_WIDTH = 0.2
+"""Metres; see `in_sight`."""
+NEAR = 0.3
+"""Metres from a pose within which all is in sight."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopCloserConfig(ComponentConfig):
     """When a loop is closed and known ground is held. Tuned on simulated logs."""
@@ -281,12 +287,18 @@ def revisit_candidates(run: RunMap, euclidean_m: np.ndarray, config: LoopCloserC
 
 
 def in_sight(panorama: np.ndarray, pose: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return which of the poses `(m, 3)` a panorama at a pose sees, `(m,)`; where it didn't look, it sees nothing."""
+    """Return which of the poses `(m, 3)` a panorama at a pose sees, `(m,)`; where it didn't look, it sees nothing.
+
+    The line of sight must be `SIGHT_HALF_WIDTH` from all walls, for the track may err by as much.
+    """
     n = len(panorama)
     offset = relative(pose, others)
     distance = np.hypot(offset[:, 0], offset[:, 1])
     beams = np.rint(np.arctan2(offset[:, 1], offset[:, 0]) * n / math.tau).astype(np.int64)
-    reach = max(1, round(n / 90))
-    around = panorama[(beams[:, None] + np.arange(-reach, reach + 1)) % n]
-    nearest = np.where(around > 0, around, np.inf).min(axis=1)
-    return (distance < 0.3) | (np.isfinite(nearest) & (nearest > distance + 0.1))
+    aside = np.arcsin(SIGHT_HALF_WIDTH / np.maximum(distance, NEAR)) * n / math.tau
+    reach = max(1, round(n / 90), math.ceil(aside.max(initial=0.0)))
+    steps = np.arange(-reach, reach + 1)
+    around = panorama[(beams[:, None] + steps) % n]
+    asked = np.abs(steps) <= np.maximum(max(1, round(n / 90)), aside[:, None])
+    nearest = np.where((around > 0) & asked, around, np.inf).min(axis=1)
+    return (distance < NEAR) | (np.isfinite(nearest) & (nearest > distance + 0.1))
