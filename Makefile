@@ -4,10 +4,13 @@ VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/pip install --disable-pip-version-check --quiet
 
-.PHONY: demo test lint bench paper paper-all clean
+.PHONY: demo demo-rl test lint bench paper paper-all clean
 
 demo: $(VENV)/.run ## Let the explorer drive Killian Court, write the figures, print the scores
 	$(BIN)/python scripts/run_knn.py
+
+demo-rl: $(VENV)/.learn ## Let a learned agent drive Killian Court, write the figures, print the scores
+	$(BIN)/python scripts/run_agent.py ppo_headings
 
 test: $(VENV)/.dev ## Run all tests, on all cores
 	$(BIN)/python -m pytest -n auto --dist loadfile
@@ -38,10 +41,15 @@ $(VENV)/.paper: $(VENV)/.run
 	$(PIP) -c constraints.txt -e ".[paper]"
 	touch $@
 
+$(VENV)/.learn: $(VENV)/.run
+	$(PIP) "$$(grep '^torch==' constraints.txt)"
+	$(PIP) -c constraints.txt -e ".[train,plot,render]"
+	touch $@
+
 $(VENV)/.dev: $(BIN)/python pyproject.toml constraints.txt
 	$(PIP) "$$(grep '^torch==' constraints.txt)"
 	$(PIP) -c constraints.txt -e ".[dev]"
-	touch $@ $(VENV)/.run
+	touch $@ $(VENV)/.run $(VENV)/.learn
 
 clean: ## Remove the virtual environment and everything written
 	rm -rf $(VENV) out

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from agents.registry import agent_names, make_agent
+from agents.registry import agent_names, make_agent, usual_action_type
 from agents.rl import require_learning
 from cyclic_env import CyclicLoopVectorEnv, RobotConfig
 from cyclic_env.errors import ConfigError
@@ -38,10 +38,10 @@ def load_contestant(name: str, action_type: str | None = None, **settings: Any) 
     Parameters
     ----------
     name : str
-        Of an agent, a file or folder; or ``module:function``, for a function that takes the environment and returns
-        the policy.
+        Name of an agent, path of a file or folder, or ``module:function`` for a function that takes the environment and
+        returns the policy.
     action_type : str, optional
-        By default the one that the model was trained with, or ``"wheels"``.
+        By default the one that the model was trained with, or the `usual_action_type` of the agent.
     settings
         Settings of the environment, as for `CyclicLoopEnv`; the agent is made for its laser and its robot.
 
@@ -50,16 +50,11 @@ def load_contestant(name: str, action_type: str | None = None, **settings: Any) 
     ConfigError
         If there is no such agent or file, the file is not a model, or the model has other actions or sensors.
     """
-    if name in agent_names():
-        settings["action_type"] = action_type or "wheels"
+    path, named = Path(name), name in agent_names()
+    if named or (":" in name and not path.exists()):
+        settings["action_type"] = action_type or (usual_action_type(name) if named else "wheels")
         with closing(CyclicLoopVectorEnv(1, **settings)) as env:
-            policy = make_agent(name, env)
-            return Contestant(name=name, policy=policy, action_type=env.config.action_type, map_name=())
-    path = Path(name)
-    if ":" in name and not path.exists():
-        settings["action_type"] = action_type or "wheels"
-        with closing(CyclicLoopVectorEnv(1, **settings)) as env:
-            policy = import_maker(name)(env)
+            policy = make_agent(name, env) if named else import_maker(name)(env)
             return Contestant(name=name, policy=policy, action_type=env.config.action_type, map_name=())
     if not path.exists():
         if path.suffix == ".zip" or len(path.parts) > 1:
@@ -67,15 +62,15 @@ def load_contestant(name: str, action_type: str | None = None, **settings: Any) 
         raise ConfigError(unknown_name("agent", name, agent_names()) + " Or give the file of a model.")
     require_learning()
     from agents.rl.headings.agent import HeadingsAgent
-    from agents.rl.headings.env import CyclicLoopHeadingsVectorEnv
+    from agents.rl.headings.env import CyclicLoopHeadingsVectorEnv, action_space
     from agents.rl.storage import check_fits, load_trained
 
     trained = load_trained(path)
     its_type = trained.settings.action_type if trained.settings else None
     if action_type and its_type and action_type != its_type:
         raise ConfigError(f"{name} was trained with action type {its_type!r}, not {action_type!r}.")
-    headings = trained.settings is not None and trained.settings.task == "headings"
-    settings["action_type"] = action_type or its_type or "wheels"
+    headings = trained.model.action_space == action_space()
+    settings["action_type"] = action_type or its_type or ("twist" if headings else "wheels")
     with closing((CyclicLoopHeadingsVectorEnv if headings else CyclicLoopVectorEnv)(1, **settings)) as env:
         check_fits(path, trained.model, env.single_observation_space, env.single_action_space)
     policy: Policy = trained.model

@@ -1,16 +1,20 @@
-"""Agents that need no training, by name: the baselines, which follow fixed rules, the explorer, and its rivals."""
+"""Agents by name: the explorer, its rivals, the watcher, those of the task headings, and baselines of fixed rules."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Any
 
-from agents.base import BatchPolicy
 from agents.knn.config import preset
 from agents.knn.policy import KnnPolicy
 from agents.rivals.frontier import FrontierAgentConfig, FrontierPolicy
 from agents.rivals.privileged import OraclePolicy, PerfectDetectorPolicy
+from agents.rl import require_learning
+from agents.rl.headings.agent import HeadingsAgent, RandomHeadingsAgent
+from agents.rl.headings.memory import Rules
+from agents.rl.headings.rules import HandRule
 from agents.scripted import (
     BEYOND_WALL,
     CLEAR_OF_WALL,
@@ -24,8 +28,13 @@ from agents.scripted import (
     ToAndFroAgent,
     WallFollowingAgent,
 )
+from agents.watcher import WatcherPolicy
 from cyclic_env.config import ActionType, EnvConfig
+from cyclic_env.evaluation.rollout import Policy
 from cyclic_env.validation import check_choice
+
+WATCHER = "watcher"
+"""Name of the agent that only watches, for robots that something else drives."""
 
 CLAIMS = "+claims"
 """Suffix of the names of agents that claim in every step to be back at the start."""
@@ -51,6 +60,10 @@ _EXPLORERS = {
     "knn_paper_appearance": preset("paper", detector="knn"),
     "knn_paper_position": preset("paper", detector="position"),
 }
+PRETRAINED = Path(__file__).with_name("pretrained")
+"""Folder of the shipped models, each the folder of a training run."""
+_LEARNED = ("ppo_headings",)
+_HEADINGS = (*_LEARNED, "headings_rule", "headings_random")
 _FRONTIERS = {
     "frontier": FrontierAgentConfig(),
     "frontier_lite": FrontierAgentConfig(order="explore_lite"),
@@ -72,10 +85,15 @@ def baseline_names() -> tuple[str, ...]:
 
 def agent_names() -> tuple[str, ...]:
     """Return the names that `make_agent` knows."""
-    return (*_EXPLORERS, *_FRONTIERS, "circling_right", *_PRIVILEGED, *_BASELINES)
+    return (*_EXPLORERS, *_FRONTIERS, *_HEADINGS, "circling_right", WATCHER, *_PRIVILEGED, *_BASELINES)
 
 
-def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = None, seed: int = 0) -> BatchPolicy:
+def usual_action_type(name: str) -> ActionType:
+    """Return the action type by which an agent is usually run: by twist if its task is headings, else by wheels."""
+    return "twist" if name in _HEADINGS else "wheels"
+
+
+def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = None, seed: int = 0) -> Policy:
     """Return the agent of that name.
 
     Parameters
@@ -103,6 +121,8 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
         return _BASELINES[name](action_type=actions, seed=seed, laser=settings.laser)
     if name == "circling_right":
         return ScriptedPolicy(_CIRCLING_RIGHT, action_type=actions, laser=settings.laser)
+    if name == WATCHER:
+        return WatcherPolicy(settings.laser, action_type=actions)
     if name in _FRONTIERS:
         return FrontierPolicy(_FRONTIERS[name], settings.laser, settings.robot, action_type=actions)
     if name == "oracle":
@@ -111,4 +131,17 @@ def make_agent(name: str, env: Any = None, *, action_type: ActionType | None = N
         return PerfectDetectorPolicy(
             preset("extended").fitted(settings.laser, settings.robot), env, action_type=actions
         )
+    if name in _HEADINGS:
+        rules = Rules(laser=settings.laser, robot=settings.robot, closure=settings.closure)
+        if name == "headings_random":
+            return RandomHeadingsAgent(rules, action_type=actions, seed=seed)
+        model = HandRule() if name == "headings_rule" else _shipped_model(name)
+        return HeadingsAgent(model, rules, action_type=actions)
     return KnnPolicy(_EXPLORERS[name].fitted(settings.laser, settings.robot), action_type=actions)
+
+
+def _shipped_model(name: str) -> Any:
+    require_learning()
+    from agents.rl.storage import load_trained
+
+    return load_trained(PRETRAINED / name).model

@@ -1,4 +1,4 @@
-"""Score agents side by side: the explorer and scripted ones by name, trained ones by the file or folder of a model."""
+"""Score agents side by side: those that are shipped by name, others by the file or folder of their model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,6 @@ import json
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from itertools import groupby
 from pathlib import Path
 from typing import Annotated
 
@@ -19,7 +18,7 @@ from tyro.conf import Positional, arg
 
 from agents import agent_names, baseline_names
 from agents.comparison import compare
-from cyclic_env import __version__, map_names
+from cyclic_env import EnvConfig, __version__, map_names
 from cyclic_env.atomic_write import check_writable, write_text_atomically
 from cyclic_env.errors import ConfigError
 from cyclic_env.evaluation.statistics import Evaluation
@@ -34,6 +33,7 @@ examples:
   python scripts/evaluate.py knn knn_paper circling --map ring
   python scripts/evaluate.py out/ppo_ring random --noise typical --episodes 20 --json out/scores.json
   python scripts/evaluate.py --all-baselines --markdown
+  python scripts/evaluate.py ppo_headings knn --noise calibrated,typical,poor --every-noise
   python scripts/evaluate.py knn --map generated:test --every-plan --episodes 200 --noise typical
 
 All agents see the same episodes: episode i has seed i. With ideal sensors and a fixed start, seeds change nothing for
@@ -52,8 +52,10 @@ class Options:
     """floor plan, or several with commas between (default: the model's, or killian_court)"""
     noise: str = "ideal"
     """ideal, calibrated, typical, poor or hard, or several with commas between, of which each reset draws one"""
+    every_noise: Flag = False
+    """score each preset of --noise by itself"""
     action_type: OptionalText = None
-    """wheels, twist or discrete (default: the model's, or wheels)"""
+    """wheels, twist or discrete (default: the model's; twist for agents of the task headings, wheels for others)"""
     episodes: OptionalInt = None
     """number of episodes, with seeds 0, 1, 2 ... (default: 10)"""
     seeds: OptionalText = None
@@ -118,17 +120,21 @@ def chosen_evaluations(args: Options, on_step: Callable[[Evaluation], None]) -> 
         raise ConfigError("name at least one agent, or give --all-baselines alone; --help lists the names.")
     if args.json:
         check_writable(args.json)
-    yield from compare(
-        baseline_names() if args.all_baselines else args.agents,
-        maps=separate_names(args.map) if args.map is not None else map_names() if args.all_baselines else (),
-        action_type=args.action_type,
-        seeds=parse_seeds(args.seeds, args.episodes),
-        num_envs=args.num_envs,
-        every_plan=args.every_plan,
-        deterministic=not args.stochastic,
-        on_step=on_step,
-        settings={"noise": noise_presets(args.noise), **args.env.settings()},
-    )
+    presets = noise_presets(args.noise)
+    EnvConfig(noise=presets)  # a wrong name is said before the first episode
+    every = args.every_noise and isinstance(presets, tuple)
+    for noise in presets if every else [presets]:
+        yield from compare(
+            baseline_names() if args.all_baselines else args.agents,
+            maps=separate_names(args.map) if args.map is not None else map_names() if args.all_baselines else (),
+            action_type=args.action_type,
+            seeds=parse_seeds(args.seeds, args.episodes),
+            num_envs=args.num_envs,
+            every_plan=args.every_plan,
+            deterministic=not args.stochastic,
+            on_step=on_step,
+            settings={"noise": noise, **args.env.settings()},
+        )
 
 
 def parse_seeds(seeds: str | None, episodes: int | None) -> range:
@@ -160,9 +166,9 @@ def tables(evaluations: Sequence[Evaluation], *, markdown: bool) -> str:
     notes = "\n".join(table_notes(evaluations))
     if not markdown or len({evaluation.map for evaluation in evaluations}) == 1:
         return f"{format_table(evaluations, markdown=markdown)}\n\n{notes}"
-    shared = ("map", "noise", "start")
+    shared = ["map", "start"] + ["noise"] * (len({evaluation.noise for evaluation in evaluations}) == 1)
     parts = [
-        f"### {name}\n\n{format_table(list(group), markdown=True, without=shared)}"
-        for name, group in groupby(evaluations, lambda evaluation: evaluation.map)
+        f"### {name}\n\n{format_table([one for one in evaluations if one.map == name], markdown=True, without=shared)}"
+        for name in dict.fromkeys(evaluation.map for evaluation in evaluations)
     ]
     return "\n\n".join([*parts, notes])

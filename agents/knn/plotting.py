@@ -38,7 +38,7 @@ AREA_STYLES: dict[str, tuple[Color, Color, Color]] = {
 
 
 def draw_groups(axes: Axes, groups: Sequence[tuple[str, int, np.ndarray]]) -> None:
-    """Draw keyframes as dots in the color of their group's direction; long groups have their names beside them.
+    """Draw keyframes as dots in the colour of their group's direction; long groups have their names beside them.
 
     Parameters
     ----------

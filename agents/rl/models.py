@@ -78,6 +78,8 @@ def read_hyperparameters(path: Path, algo: str) -> dict[str, Any]:
             raise ConfigError(f"{path}: {unknown_name(f'hyperparameter of {algo}', name, known)}")
     if hyperparameters["policy"] not in POLICIES:
         raise ConfigError(f"{path}: {unknown_name('policy', hyperparameters['policy'], POLICIES)}")
+    if hyperparameters["policy"] == "shared" and algo != "maskable_ppo":
+        raise ConfigError(f"{path}: the policy shared needs maskable_ppo, for {algo} masks no choices.")
     return hyperparameters
 
 

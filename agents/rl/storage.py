@@ -169,7 +169,8 @@ def load_model(path: Path) -> BaseAlgorithm:
     try:
         return ALGORITHMS[algo].load(path, device="cpu")
     except Exception as error:  # unpickling a damaged file can raise anything
-        raise ConfigError(f"{path} can't be loaded as a model of {algo}: {error!r}.") from error
+        reason = f"{type(error).__name__}: {str(error).partition(chr(10))[0].rstrip(':')}"
+        raise ConfigError(f"{path} can't be loaded; it is damaged, or of another version ({reason}).") from error
 
 
 def _algorithm_of(path: Path) -> str:

@@ -30,21 +30,16 @@ from cyclic_env.task.loop_closure import (
 )
 from cyclic_env.task.path_history import building_view, robot_view
 from cyclic_env.task.rewards import REWARD_TERMS, reward_weights
-from cyclic_env.task.trajectory_truth import memory_for
+from cyclic_env.task.trajectory_truth import closure_config_for, memory_for
 from cyclic_env.trajectory.poses import compose
 from cyclic_env.validation import from_mapping
-
-SIGHT_GIVEN = 1.0
-"""Metres within which two positions are in sight by default: a reference doesn't fit a floor plan exactly."""
 
 
 class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     """A robot's log as an environment. It gives an agent the log's observations and judges the agent's claims.
 
     The wheels' part of an action is ignored: each step leads to the log's next scan. The observations have the form of
-    `CyclicLoopEnv`: ``laser``, in which beams without a hit read the laser's maximum; ``distance``, the signed distance
-    driven according to the odometry; and ``compass``, the odometry's heading, which drifts. No sensor measures sideways
-    motion.
+    `CyclicLoopEnv`; see `RobotLog.observations`. No sensor measures sideways motion.
 
     The log's reference poses are the truth by which claims are judged, as `cyclic_env.task.loop_closure` defines it.
     Sight and cycles come from the floor plan, on which the log's `map_transform` places the reference; without a plan
@@ -60,7 +55,8 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     plan : FloorPlan, optional
         The building. Default: the shipped one that the log names.
     closure : ClosureConfig or mapping, optional
-        Default: the environment's, but positions nearer than 1 m to each other are in sight.
+        Default: the environment's, with as much tolerance of walls as the reference needs
+        (`cyclic_env.task.trajectory_truth.closure_config_for`).
     action_type : {"wheels", "twist", "discrete"}
 
     Attributes
@@ -77,6 +73,8 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
     ------
     RecordingError
         If the log can't be read, has no reference poses, or has a plan but no `map_transform`.
+    UsageError
+        If its reference doesn't lie on the plan.
     """
 
     metadata: dict[str, Any] = {"render_modes": []}  # noqa: RUF012 (Gymnasium's own)
@@ -95,6 +93,10 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             raise RecordingError(f"the log {log.name!r} has no reference poses; they are needed to judge claims.")
         if self.floor_plan is not None and log.map_transform is None:
             raise RecordingError(f"the log {log.name!r} has no map_transform, which places it on the floor plan.")
+        transform = (0.0, 0.0, 0.0) if self.floor_plan is None else log.map_transform
+        self._poses = compose(transform, log.reference)
+        if closure is None:
+            closure = closure_config_for(self.floor_plan, self._poses)
         self.step_budget = len(log) - 1
         self.config = EnvConfig(
             map_name=log.map_name or log.name,
@@ -102,17 +104,11 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
             step_budget=self.step_budget,
             robot=_robot_of(log),
             laser=log.laser,
-            closure=ClosureConfig(sight_given=SIGHT_GIVEN) if closure is None else from_mapping(ClosureConfig, closure),
+            closure=from_mapping(ClosureConfig, closure),
         )
         self.action_space = action_space(action_type)
         self.observation_space = observation_space(log.laser)
-        self._observations = {
-            "laser": np.minimum(log.ranges, np.float32(log.laser.range_max)),
-            "distance": log.distance[:, None].astype(np.float32),
-            "compass": np.stack([np.cos(log.odometry[:, 2]), np.sin(log.odometry[:, 2])], axis=1).astype(np.float32),
-        }
-        transform = (0.0, 0.0, 0.0) if self.floor_plan is None else log.map_transform
-        self._poses = compose(transform, log.reference)
+        self._observations = log.observations()
         steps = np.diff(self._poses[:, :2], axis=0)
         self._path_lengths = np.append(0.0, np.cumsum(np.hypot(steps[:, 0], steps[:, 1])))
         track = np.column_stack([self._poses[:, :2], self._path_lengths])
@@ -183,6 +179,11 @@ class RecordedRun(gymnasium.Env[dict[str, np.ndarray], np.ndarray]):
         }
         info = {name: values.get(name, np.zeros((), INFO[name]).item()) for name in INFO.names or ()}
         return info | {"reward_terms": dict(zip(REWARD_TERMS, terms.tolist(), strict=True))}
+
+    @property
+    def poses(self) -> np.ndarray:
+        """The reference's pose at every scan of the log, on the floor plan if there is one, `(n, 3)`."""
+        return self._poses.copy()
 
     def trajectory(self) -> np.ndarray:
         """Return the true path so far, `(t + 1, 3)`: x, y on the floor plan and path length, metres."""

@@ -90,6 +90,22 @@ class RobotLog:
         half_turn = 0.5 * wrap_angle(step[:, 2])
         return np.append(0.0, np.cumsum(step[:, 0] * np.cos(half_turn) + step[:, 1] * np.sin(half_turn)))
 
+    def observations(self) -> dict[str, np.ndarray]:
+        """Return what an environment's robot would have observed at each scan, float32.
+
+        Returns
+        -------
+        dict
+            ``laser`` `(n, num_beams)`, in which beams without a hit read the laser's maximum; ``distance`` `(n, 1)`,
+            the signed distance driven; ``compass`` `(n, 2)`, the odometry's heading as a vector, which drifts.
+        """
+        heading = self.odometry[:, 2]
+        return {
+            "laser": np.minimum(self.ranges, np.float32(self.laser.range_max)),
+            "distance": self.distance[:, None].astype(np.float32),
+            "compass": np.stack([np.cos(heading), np.sin(heading)], axis=1).astype(np.float32),
+        }
+
     def thinned(self, spacing: float, turn: float = math.inf) -> RobotLog:
         """Return the log without scans closer than `spacing` metres of path and `turn` radians to the last one kept.
 

@@ -5,7 +5,7 @@ With true positions p, path length s and the settings of `ClosureConfig`:
 - Step t **returns to** step k when ``|p_t - p_k| <= return_radius``, p_k is in sight, ``s_t - s_k >= gap``, and at
   some step in between the robot was at least `leave_radius` from p_t. It is a **revisit** when such a k exists.
   A position is in sight when the straight line to it stays in free space (touching a wall does not), or is shorter
-  than `sight_given`.
+  than `sight_given`. Where `wall_tolerance` is set, the free space is taken to reach that far into the walls.
 - Ground counts once: a revisit step is **fresh** when no step of an event that has settled and counts lies within the
   return radius and in sight of it.
 - A **revisit event** is a maximal run of fresh steps; runs less than `event_gap` of path apart are one event, which

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 import mmap
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -156,7 +157,9 @@ class BuildingView(NamedTuple):
 
 def allocate_memory(plan: FloorPlan, num_robots: int, max_steps: int, config: ClosureConfig) -> ClosureMemory:
     """Return a memory for the paths of `num_robots` robots, of at most `max_steps` steps, in a plan."""
-    walls = build_wall_index(plan, config.return_radius)
+    tolerance = config.wall_tolerance
+    seen = replace(plan, free_space=plan.free_space.buffer(tolerance)) if tolerance else plan
+    walls = build_wall_index(seen, config.return_radius)
     return allocate(plan.bounds, plan.cycle_anchors, walls, num_robots, max_steps, float(config.return_radius))
 
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import shapely
 
 from cyclic_env.config import ClosureConfig
 from cyclic_env.errors import UsageError
@@ -35,6 +37,12 @@ from cyclic_env.task.path_history import (
     extend_path,
     robot_view,
 )
+
+SIGHT_GIVEN = 1.0
+"""Metres within which the positions of a trajectory that doesn't fit its plan are in sight of each other."""
+
+WALL_TOLERANCE_MAX = 1.5
+"""Metres. A position that lies farther outside the free space is off the plan, however badly a trajectory fits."""
 
 OPEN_CELLS_MAX = 1_000
 """Cells along each side of a trajectory without a plan, at most; positions beyond belong to the outermost cells."""
@@ -146,6 +154,32 @@ def true_returns(
     relations = np.full((len(chosen), len(chosen)), ELSEWHERE, np.int8)
     _compare_all(memory_for(plan, track, config), closure_rules(config), track, chosen.astype(np.int64), relations)
     return relations
+
+
+def closure_config_for(plan: FloorPlan | None, positions: np.ndarray) -> ClosureConfig:
+    """Return the settings with which a trajectory is judged that need not fit the floor plan exactly.
+
+    One that stays in free space, or has no plan, is judged as in the simulator. Otherwise positions nearer than
+    `SIGHT_GIVEN` to each other are in sight, and the walls let sight through as deep as the trajectory runs into them:
+    up to the greatest distance of a position `(n, 2)` from the free space, rounded up to a decimetre, without the
+    positions beyond `WALL_TOLERANCE_MAX`.
+
+    Raises
+    ------
+    UsageError
+        If more than half of the positions are beyond.
+    """
+    if plan is None:
+        return ClosureConfig()
+    outside_m = np.asarray(shapely.distance(plan.free_space, shapely.points(positions[:, :2])))
+    near = outside_m <= WALL_TOLERANCE_MAX
+    if 2 * np.count_nonzero(near) < len(near):
+        raise UsageError(
+            f"{np.count_nonzero(~near):,} of {len(near):,} positions lie more than {WALL_TOLERANCE_MAX} m outside "
+            f"the floor plan {plan.name!r}; they have to be in its frame."
+        )
+    tolerance = math.ceil(10 * outside_m[near].max()) / 10
+    return ClosureConfig(sight_given=SIGHT_GIVEN, wall_tolerance=tolerance) if tolerance else ClosureConfig()
 
 
 def _checked_trajectory(trajectory: Any) -> np.ndarray:

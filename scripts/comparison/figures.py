@@ -15,9 +15,9 @@ mpl.use("Agg")
 from matplotlib import pyplot as plt
 
 from cyclic_env.atomic_write import atomic_write
-from cyclic_env.config import TIERS
 from cyclic_env.evaluation.statistics import performance_profile, wilson_interval
 from cyclic_env.floor_plans.generator.names import building_spec
+from cyclic_env.tiers import TIERS
 from scripts.comparison.measures import CURVE_TOURS
 from scripts.comparison.table import Runs
 

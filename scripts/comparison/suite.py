@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields
 from itertools import product
 
 from agents import agent_names, privileged_names
-from cyclic_env.config import TIERS
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import load_floor_plans
+from cyclic_env.tiers import TIERS
 from cyclic_env.validation import check_choice
 
 REFERENCE = "knn"
@@ -65,7 +65,7 @@ SUITES = {
         seeds=2,
     ),
     "report": Suite(
-        agents=tuple(name for name in agent_names() if not name.endswith("+claims")),
+        agents=tuple(name for name in agent_names() if not name.endswith("+claims") and name != "watcher"),
         maps=(*ALL_PLANS, "twin_rings", *_first("test", 32), *_first("hard_test", 32)),
         tiers=("calibrated", "typical", "hard"),
         seeds=3,

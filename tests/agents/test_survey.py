@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -18,7 +19,9 @@ from agents.knn.config import preset
 from agents.knn.explorer import KnnExplorer
 from agents.knn.policy import KnnPolicy
 from cyclic_env import CyclicLoopEnv, FloorPlan
+from cyclic_env.floor_plans import trace_floor_plan
 from tests.agents.buildings import BEAMS, REACH, ROOM, keyframes_at, plan_of
+from tests.helpers import load_script
 
 CORNER_DOOR = FloorPlan(
     "corner_door",
@@ -56,6 +59,14 @@ def test_what_was_missed_is_found_after_the_list_is_empty(plan: FloorPlan) -> No
     info, explorer, done = explore(plan, look_again=False)
     assert not info["is_success"]
     assert explorer.stop_reason == "list empty"
+
+
+@pytest.mark.slow
+def test_a_room_of_a_drawn_map_is_left_through_the_door_in_its_corner() -> None:
+    plan = trace_floor_plan(load_script("make_ros_maps").corner_doors()).plan
+    info, _, done = explore(replace(plan, start=(11.5, -12.7, 1.57)))
+    assert info["is_success"]
+    assert 0 < done < 100
 
 
 def test_the_papers_explorer_stops_when_its_list_is_empty() -> None:

@@ -10,7 +10,7 @@ from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
 from cyclic_env.errors import UsageError
 from cyclic_env.floor_plans import load_floor_plan
 from cyclic_env.task.loop_closure import ELSEWHERE, NEAREST, RETURNS, TOO_SOON
-from cyclic_env.task.trajectory_truth import judge_trajectory, true_returns
+from cyclic_env.task.trajectory_truth import closure_config_for, judge_trajectory, true_returns
 
 THERE_AND_BACK = np.array([(0.25 * min(t, 160 - t), 0.0) for t in range(161)])
 """40 m along the x axis, and back."""
@@ -62,6 +62,22 @@ def test_true_returns_tells_returns_from_steps_too_early_and_behind_walls():
     assert truth[3].tolist() == [RETURNS, RETURNS, ELSEWHERE, ELSEWHERE, ELSEWHERE]
     assert truth[4].tolist() == [RETURNS, RETURNS, ELSEWHERE, TOO_SOON, ELSEWHERE]
     assert (truth[0] == ELSEWHERE).all()
+
+
+def test_walls_that_a_trajectory_runs_into_block_no_sight():
+    plan = load_floor_plan("ring")
+    x, y, _ = plan.start
+    out = np.linspace(0, 12, 121)
+    way = np.column_stack([x + np.concatenate([out, out[::-1]]), np.full(242, y)])
+    assert closure_config_for(plan, way) == ClosureConfig()
+    way[121:, 1] = -2.05  # 0.85 m deep in the southern wall, which is at -1.2
+    assert closure_config_for(plan, way) == ClosureConfig(sight_given=1.0, wall_tolerance=0.9)
+    for tolerance, false_claims in ((0.0, 1), (0.9, 0)):
+        judged = judge_trajectory(plan, way, [(241, 0)], ClosureConfig(wall_tolerance=tolerance))
+        assert (judged.false_claims, judged.revisit[-1]) == (false_claims, not false_claims)
+    way[:150, 1] -= 500.0
+    with pytest.raises(UsageError, match="150 of 242 positions"):
+        closure_config_for(plan, way)
 
 
 def test_revisits_are_the_steps_with_a_true_return():

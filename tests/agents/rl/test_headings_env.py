@@ -11,11 +11,12 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
-from agents.rl.headings.agent import HeadingsAgent
+from agents.rl.headings.agent import HeadingsAgent, RandomHeadingsAgent
 from agents.rl.headings.env import CyclicLoopHeadingsEnv, CyclicLoopHeadingsVectorEnv
 from agents.rl.headings.memory import CANDIDATES, HEADINGS, HOLD, Rules
+from agents.rl.headings.rules import HandRule
 from cyclic_env import ActionError, ConfigError, CyclicLoopVectorEnv, UsageError
-from tests.agents.rl.rules import Rule
+from cyclic_env.evaluation.rollout import evaluate
 
 BUDGET = 33
 """Steps of an episode, which ends within a decision."""
@@ -106,13 +107,23 @@ def test_the_hand_rule_goes_round_a_ring_and_closes_it() -> None:
     env = CyclicLoopHeadingsEnv("ring", noise="typical")
     features, info = env.reset(seed=1)
     for _ in range(150):
-        choices, _ = Rule().predict(features)
+        choices, _ = HandRule().predict(features)
         features, _, terminated, truncated, info = env.step(choices)
         if terminated or truncated:
             break
     assert info["cycles_closed"] == 1
     assert info["false_claims"] == 0
     env.close()
+
+
+def test_random_choices_are_the_same_in_any_row_and_other_ones_in_the_next_episode() -> None:
+    agent = RandomHeadingsAgent()
+    settings: dict[str, Any] = {"map_name": "ring", "noise": "poor", "step_budget": 40}
+    records = [
+        evaluate(agent, seeds=range(5), action_type="twist", num_envs=count, **settings).episodes for count in (1, 3)
+    ]
+    assert records[0] == records[1]
+    assert len({record["path_length_m"] for record in records[0]}) == 5
 
 
 @pytest.mark.parametrize(
@@ -127,7 +138,7 @@ def test_any_laser_and_robot_will_do(settings: dict[str, Any]) -> None:
     env = CyclicLoopHeadingsVectorEnv(2, "ring", noise="typical", **settings)
     features, infos = env.reset(seed=0)
     for _ in range(30):
-        features, *_, infos = env.step(Rule().predict(features)[0])
+        features, *_, infos = env.step(HandRule().predict(features)[0])
         assert env.observation_space.contains(features)
     assert (infos["path_length_m"] > 0.5 * 30 * HOLD * env.env.config.robot.advance_max).all()
     env.close()
@@ -166,6 +177,17 @@ def test_misuse_is_an_error() -> None:
     env.close()
 
 
+def test_an_agent_refuses_observations_and_states_that_are_none() -> None:
+    agent = HeadingsAgent(HandRule())
+    observation = {"laser": np.full((2, 180), 3.0), "distance": np.zeros((2, 1)), "compass": np.ones((2, 2))}
+    _, state = agent.predict(observation)
+    for others in ({name: value[:1] for name, value in observation.items()}, observation):
+        with pytest.raises(ConfigError, match="expected what the last predict returned"):
+            agent.predict(others, state, np.zeros(3, np.bool_))
+    with pytest.raises(ConfigError, match="no compass"):
+        agent.predict({name: observation[name] for name in ("laser", "distance")})
+
+
 def test_an_agent_of_it_drives_any_environment_as_the_task_does() -> None:
     settings: dict[str, Any] = {"map_name": "office", "noise": "calibrated", "step_budget": 73}
     task = CyclicLoopHeadingsVectorEnv(2, **settings)
@@ -173,10 +195,10 @@ def test_an_agent_of_it_drives_any_environment_as_the_task_does() -> None:
     features, _ = task.reset(seed=5)
     paths = []
     for _ in range(2 * (73 // HOLD + 1)):
-        features, *_, infos = task.step(Rule().predict(features)[0])
+        features, *_, infos = task.step(HandRule().predict(features)[0])
         if "final_info" in infos:
             paths.append(infos["final_info"]["path_length_m"])
-    agent, state, begun, of_agent = HeadingsAgent(Rule(), Rules()), None, np.ones(2, np.bool_), []
+    agent, state, begun, of_agent = HeadingsAgent(HandRule(), Rules()), None, np.ones(2, np.bool_), []
     observation, _ = env.reset(seed=5)
     for _ in range(2 * 73):
         actions, state = agent.predict(observation, state, begun)

@@ -11,6 +11,7 @@ from agents.rl.headings.env import CyclicLoopHeadingsVectorEnv
 from agents.rl.headings.grid import CELL, SIDE, Ahead, allocate_grid, allocate_search_scratch, draw_scan, search
 from agents.rl.headings.memory import HOLD, Rules
 from agents.rl.headings.perception import Perception
+from agents.rl.headings.rules import nearest_undriven
 from agents.rl.headings.tracking import (
     ROBOT,
     STEP_SPREAD,
@@ -22,7 +23,6 @@ from agents.rl.headings.tracking import (
     mend,
 )
 from cyclic_env import LaserConfig
-from tests.agents.rl.rules import nearest_undriven
 
 
 def ahead_of(grid, robot) -> Ahead:

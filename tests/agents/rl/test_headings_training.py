@@ -154,7 +154,9 @@ def test_bad_hyperparameters_are_one_clear_line(tmp_path: Path, text: str, messa
     assert "\n" not in str(caught.value)
 
 
-def test_an_algorithm_that_does_not_learn_the_task_is_refused() -> None:
+def test_an_algorithm_that_does_not_learn_the_task_or_does_not_mask_is_refused() -> None:
+    with pytest.raises(ConfigError, match="ppo masks no choices"):
+        read_hyperparameters(hyperparameter_file("headings", "maskable_ppo"), "ppo")
     with pytest.raises(ConfigError, match="maskable_ppo"):
         TrainingSettings(task="headings", algo="sac")
 
