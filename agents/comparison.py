@@ -38,8 +38,8 @@ def load_contestant(name: str, action_type: str | None = None, **settings: Any) 
     Parameters
     ----------
     name : str
-        Of an agent, a file or folder; or ``module:function``, for a function that takes the environment and returns
-        the policy.
+        Name of an agent, path of a file or folder, or ``module:function`` for a function that takes the environment and
+        returns the policy.
     action_type : str, optional
         By default the one that the model was trained with, or the `usual_action_type` of the agent.
     settings
@@ -50,16 +50,11 @@ def load_contestant(name: str, action_type: str | None = None, **settings: Any) 
     ConfigError
         If there is no such agent or file, the file is not a model, or the model has other actions or sensors.
     """
-    if name in agent_names():
-        settings["action_type"] = action_type or usual_action_type(name)
+    path, named = Path(name), name in agent_names()
+    if named or (":" in name and not path.exists()):
+        settings["action_type"] = action_type or (usual_action_type(name) if named else "wheels")
         with closing(CyclicLoopVectorEnv(1, **settings)) as env:
-            policy = make_agent(name, env)
-            return Contestant(name=name, policy=policy, action_type=env.config.action_type, map_name=())
-    path = Path(name)
-    if ":" in name and not path.exists():
-        settings["action_type"] = action_type or "wheels"
-        with closing(CyclicLoopVectorEnv(1, **settings)) as env:
-            policy = import_maker(name)(env)
+            policy = make_agent(name, env) if named else import_maker(name)(env)
             return Contestant(name=name, policy=policy, action_type=env.config.action_type, map_name=())
     if not path.exists():
         if path.suffix == ".zip" or len(path.parts) > 1:

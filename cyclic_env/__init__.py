@@ -19,7 +19,6 @@ from gymnasium.envs.registration import register, registry
 if TYPE_CHECKING:
     from cyclic_env.config import (
         NOISE_PRESETS,
-        TIERS,
         ClosureConfig,
         CoverageConfig,
         EnvConfig,
@@ -27,7 +26,6 @@ if TYPE_CHECKING:
         NoiseConfig,
         RewardConfig,
         RobotConfig,
-        Tier,
     )
     from cyclic_env.envs.cyclic_loop import CyclicLoopEnv
     from cyclic_env.envs.vector import CyclicLoopVectorEnv
@@ -39,13 +37,14 @@ if TYPE_CHECKING:
     from cyclic_env.recording.recorder import Recorder
     from cyclic_env.recording.replay import replay
     from cyclic_env.recording.robot_log import RobotLog
+    from cyclic_env.tiers import TIERS, Tier
 
 __version__ = "0.1.0"
 
 _MODULES = (
     *("config", "errors", "floor_plans", "envs.cyclic_loop", "envs.vector"),
     *("recording.format", "recording.recorder", "recording.replay"),
-    *("recording.robot_log", "recording.readers", "recording.recorded_run"),
+    *("tiers", "recording.robot_log", "recording.readers", "recording.recorded_run"),
 )
 """Modules with public names, the quickest to load first."""
 

@@ -17,9 +17,9 @@ from tyro.conf import arg
 
 from agents import agent_names
 from agents.comparison import load_contestant
-from cyclic_env.config import TIERS
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import separate_names
+from cyclic_env.tiers import TIERS
 from cyclic_env.validation import check_choice
 from scripts._arguments import Flag, OptionalInt, OptionalText
 from scripts._cli import command, interruptible, progress_bar

@@ -18,7 +18,8 @@ from tyro.conf import arg
 from agents.slam.closure_price import ClosurePrice, price_run
 from cyclic_env import ConfigError, RobotLog, load_floor_plan, read_robot_log
 from cyclic_env.atomic_write import check_outputs, write_text_atomically
-from cyclic_env.evaluation.judge import TOLERANCE, JudgeReport, judge_run, match_claims
+from cyclic_env.evaluation.claim_matching import TOLERANCE, match_claims
+from cyclic_env.evaluation.judge import JudgeReport, judge_run
 from cyclic_env.evaluation.scan_overlap import Scans
 from cyclic_env.trajectory.poses import compose
 from cyclic_env.trajectory.readers import Claims, Trajectory, read_claims, read_relations, read_trajectory

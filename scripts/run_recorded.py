@@ -69,6 +69,10 @@ def main(args: Options) -> None:
     scores_file = args.json or args.out / "scores.json"
     check_outputs([*files.values(), scores_file], inputs=[Path(args.log)])
     log = read_robot_log(args.log)
+    if log.reference is None:
+        if args.map is not None:
+            raise ConfigError(f"{args.log} has no reference poses, so it can't be placed on a map; leave --map out.")
+        del files["reference.tum"]
     name = args.map or log.map_name
     plan = None if name is None or log.reference is None else load_floor_plan(name)
     detections = [run_detector(args.detector, log, gate) for gate in gates]
@@ -83,7 +87,7 @@ def main(args: Options) -> None:
     claims = None if report is None else report.judged
     draw_recorded_run(files["run.png"], title, scores_line(scores), plan, *positions(log, plan, first), claims)
     write_text_atomically(scores_file, json.dumps(scores, indent=1) + "\n")
-    print(text_of(scores, report), f"\nwritten to {args.out}: {', '.join(FILES)}; {scores_file}", sep="\n")
+    print(text_of(scores, report), f"\nwritten to {args.out}: {', '.join(files)}; {scores_file}", sep="\n")
 
 
 def gates_of(text: str) -> list[float]:
@@ -160,7 +164,8 @@ def export(log: RobotLog, plan: FloorPlan | None, detection: Detection, files: d
     reference, track = reference_of(log, plan), log.odometry if detection.track is None else detection.track
     write_tum(files["odometry.tum"], log.times, log.odometry)
     write_tum(files["track.tum"], log.times, track)
-    write_tum(files["reference.tum"], log.times, log.odometry if reference is None else reference.poses)
+    if reference is not None:
+        write_tum(files["reference.tum"], log.times, reference.poses)
     chain = [(i, i + 1, relative(track[i], track[i + 1]), CHAIN_INFORMATION) for i in range(len(log) - 1)]
     write_g2o(files["pose_graph.g2o"], track, [*chain, *detection.edges])
 

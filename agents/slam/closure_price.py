@@ -16,7 +16,7 @@ import numpy as np
 from agents.slam.pose_graph import PoseGraphConfig, optimize
 from agents.slam.robust_graph import optimize_robustly
 from cyclic_env.errors import RecordingError
-from cyclic_env.evaluation.judge import TOLERANCE
+from cyclic_env.evaluation.claim_matching import TOLERANCE
 from cyclic_env.trajectory.metrics import ate, match_times
 from cyclic_env.trajectory.poses import relative
 from cyclic_env.trajectory.readers import Trajectory

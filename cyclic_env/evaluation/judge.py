@@ -6,12 +6,12 @@ Claims are judged by the definitions of `cyclic_env.task.loop_closure`, and by t
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from cyclic_env.config import ClosureConfig
-from cyclic_env.errors import RecordingError
+from cyclic_env.evaluation.claim_matching import TOLERANCE, MatchedClaims, check_matched, match_claims
 from cyclic_env.evaluation.precision_recall import PrecisionRecall, precision_recall
 from cyclic_env.evaluation.scan_overlap import Scans, greatest_overlaps, overlaps_of
 from cyclic_env.floor_plans import FloorPlan
@@ -21,35 +21,11 @@ from cyclic_env.trajectory.metrics import RelationErrors, ate, match_times, rela
 from cyclic_env.trajectory.poses import relative
 from cyclic_env.trajectory.readers import Claims, Relations, Trajectory
 
-TOLERANCE = 0.02
-"""Seconds between two time stamps of the same moment; evo takes 0.01."""
-
 PUBLISHED_RADII = (3.0, 5.0)
 """Metres within which others count a return, whatever walls lie between."""
 
 OVERLAPS = (0.3, 0.5)
 """Overlaps of two scans from which others count a return."""
-
-
-class MatchedClaims(NamedTuple):
-    """Claims by the reference's poses, at most one at each, in order.
-
-    Attributes
-    ----------
-    pairs : (n, 2) int
-        The pose at the claim, and the earlier one.
-    scores : (n,) or None
-    measured : (n, 3) or None
-        The pose at the claim in the frame of the earlier one.
-    unmatched, repeated : int
-        Claims without a pose at their time, and further ones at the same pose.
-    """
-
-    pairs: np.ndarray
-    scores: np.ndarray | None
-    measured: np.ndarray | None
-    unmatched: int
-    repeated: int
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -212,7 +188,7 @@ def judge_run(
     rows, error, aligned = np.arange(len(positions)), None, None
     estimated = np.full(len(positions), -1)  # the estimate's pose at each of the reference's
     if estimate is not None:
-        at = _matched(match_times(estimate.times, reference.times, tolerance), "trajectory", tolerance)
+        at = check_matched(match_times(estimate.times, reference.times, tolerance), "trajectory", tolerance)
         found = np.flatnonzero(at >= 0)
         estimated[at[found]] = found
         rows = np.unique(at[found])
@@ -250,51 +226,6 @@ def judge_run(
         relations_are=which,
         judged=judged.claims,
     )
-
-
-def match_claims(claims: Claims, times: np.ndarray, tolerance: float = TOLERANCE) -> MatchedClaims:
-    """Return the claims by the poses of a reference at `times` `(n,)`; of several at one pose, the surest counts.
-
-    Raises
-    ------
-    RecordingError
-        If none has poses at both its times, or a step is none of the reference's.
-    """
-    ends = np.column_stack([claims.times, claims.matches])
-    if claims.by_step:
-        if ends.size and not (ends.min() >= 0 and ends.max() < len(times)):
-            raise RecordingError(f"the claims name steps beyond those of the reference, 0 to {len(times) - 1:,}.")
-        places = ends.astype(np.int64)
-    else:
-        places = match_times(ends.ravel(), times, tolerance).reshape(-1, 2)
-    known = np.flatnonzero((places >= 0).all(axis=1))
-    if len(places):
-        _matched(np.where((places >= 0).all(axis=1), 0, -1), "claims", tolerance)
-    later, earlier = places[known].max(axis=1), places[known].min(axis=1)
-    sure = np.zeros(len(known)) if claims.scores is None else -claims.scores[known]
-    order = np.lexsort([sure, later])
-    first = order[np.diff(later[order], prepend=-1) > 0]
-    first = first[later[first] > 0]  # before its first step a robot can't be back
-    measured = None
-    if claims.measured is not None:
-        forth, back = claims.measured[known], relative(claims.measured[known], np.zeros((len(known), 3)))
-        measured = np.where((places[known, 0] >= places[known, 1])[:, None], forth, back)[first]
-    return MatchedClaims(
-        pairs=np.column_stack([later, earlier])[first],
-        scores=None if claims.scores is None else claims.scores[known][first],
-        measured=measured,
-        unmatched=len(places) - len(known),
-        repeated=len(known) - len(first),
-    )
-
-
-def _matched(indices: np.ndarray, what: str, tolerance: float) -> np.ndarray:
-    if not (indices >= 0).any():
-        raise RecordingError(
-            f"none of the times of the {what} is within {tolerance:g} s of one of the reference's; "
-            "are both of the same run, and of the same clock?"
-        )
-    return indices
 
 
 def _our_name(plan: FloorPlan | None, closure: ClosureConfig) -> str:
@@ -338,7 +269,7 @@ def _overlap_verdicts(
     reference: Trajectory, scans: Scans, matched: MatchedClaims, gap: float, rows: np.ndarray, tolerance: float
 ) -> list[Verdict]:
     """Return verdicts by the overlap of scans, of the rows and claims that have scans."""
-    at = _matched(match_times(scans.times, reference.times, tolerance), "scans", tolerance)
+    at = check_matched(match_times(scans.times, reference.times, tolerance), "scans", tolerance)
     kept = np.flatnonzero(at >= 0)
     places, first = np.unique(at[kept], return_index=True)
     kept = kept[first]

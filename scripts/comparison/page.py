@@ -13,9 +13,10 @@ from jinja2 import Environment, FileSystemLoader
 from markupsafe import Markup
 
 from agents import privileged_names
-from cyclic_env.config import TIERS, CoverageConfig, RobotConfig
+from cyclic_env.config import CoverageConfig, RobotConfig
 from cyclic_env.evaluation.privileged import Survey
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan
+from cyclic_env.tiers import TIERS
 from scripts.comparison.suite import Job, Suite
 from scripts.comparison.summary import NOTES, differences, rank
 from scripts.comparison.table import Runs

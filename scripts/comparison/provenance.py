@@ -10,8 +10,8 @@ from importlib.metadata import version
 from pathlib import Path
 
 from cyclic_env import __version__
-from cyclic_env.config import TIERS
 from cyclic_env.floor_plans import load_floor_plan
+from cyclic_env.tiers import TIERS
 from scripts.comparison.suite import Job
 
 ROOT = Path(__file__).resolve().parents[2]

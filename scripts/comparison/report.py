@@ -33,8 +33,8 @@ def write_report(
     missing = sum(job not in table for job in jobs)
     failed = sum(job in table and table.rows[job.key]["status"] == FAILED for job in jobs)
     summary = (
-        f"{len(frame)} runs of {frame['agent'].nunique()} agents on {frame['map'].nunique()} floor plans, with the "
-        f"same starts and the same noise for all; {missing} are yet to be run, {failed} failed."
+        f"Runs: {len(frame)}, of {frame['agent'].nunique()} agents, on {frame['map'].nunique()} floor plans, with the "
+        f"same starts and the same noise for all. Failed: {failed}. Yet to be run: {missing}."
     )
     figures = draw_figures(frame, suite.agents, folder)
     page = page_text(frame, suite, summary, figures, replays, folder)

@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields
 from itertools import product
 
 from agents import agent_names, privileged_names
-from cyclic_env.config import TIERS
 from cyclic_env.errors import ConfigError
 from cyclic_env.floor_plans import load_floor_plans
+from cyclic_env.tiers import TIERS
 from cyclic_env.validation import check_choice
 
 REFERENCE = "knn"

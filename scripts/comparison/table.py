@@ -51,9 +51,13 @@ class RunTable:
         self.rows: dict[tuple[str, ...], dict[str, str]] = {}
         self.damaged = 0
         if path.exists():
-            self._read()
+            self.rows, self.damaged = self._read()
+        if self.damaged:
+            shutil.copyfile(path, path.with_suffix(".damaged.csv"))
+            self.tidy()
 
-    def _read(self) -> None:
+    def _read(self) -> tuple[dict[tuple[str, ...], dict[str, str]], int]:
+        """Return the rows of the file, and the number of its lines that are damaged."""
         try:
             lines = self.path.read_text(encoding="utf-8").split("\n")
         except UnicodeDecodeError as error:
@@ -62,17 +66,15 @@ class RunTable:
             raise ConfigError(
                 f"{self.path} is no table of runs, or that of another version (see its first line); move it away."
             )
-        for line in lines[1:-1]:  # the last line that was written whole ends with a line break
+        rows, damaged = {}, int(lines[-1] != "")  # the last line that was written whole ends with a line break
+        for line in lines[1:-1]:
             values = next(csv.reader([line]), [])
             row = dict(zip(COLUMNS, values, strict=False))
             if len(values) == len(COLUMNS) and row["status"] in (DONE, FAILED) and row["seed"].isdecimal():
-                self.rows[tuple(row[name] for name in KEY)] = row
+                rows[tuple(row[name] for name in KEY)] = row
             else:
-                self.damaged += 1
-        self.damaged += lines[-1] != ""
-        if self.damaged:
-            shutil.copyfile(self.path, self.path.with_suffix(".damaged.csv"))
-            self.tidy()
+                damaged += 1
+        return rows, damaged
 
     def __contains__(self, job: Job) -> bool:
         return job.key in self.rows
@@ -92,10 +94,9 @@ class RunTable:
         return {name: _as_text(row.get(name)) for name in COLUMNS}
 
     def tidy(self) -> None:
-        """Write the file anew, in the order of the runs, each once."""
-        order = sorted(
-            self.rows.values(), key=lambda row: (*(row[name] for name in KEY if name != "seed"), row["seed"])
-        )
+        """Write the file anew, in the order of the runs, each once; with what another process has added to it."""
+        self.rows = self._read()[0] | self.rows
+        order = sorted(self.rows.values(), key=lambda row: [row[name].zfill(9) for name in KEY])
         write_text_atomically(self.path, ",".join(COLUMNS) + "\n" + "".join(_line(row) for row in order))
 
     def stale(self, job: Job, current: Mapping[str, str]) -> bool:

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from cyclic_env.atomic_write import write_text_atomically
-from cyclic_env.config import TIERS, CoverageConfig
+from cyclic_env.config import CoverageConfig
 from cyclic_env.evaluation.privileged import Survey
 from cyclic_env.floor_plans import FloorPlan, load_floor_plan
+from cyclic_env.tiers import TIERS
 from scripts.comparison.episode import EpisodeLog
 from scripts.comparison.suite import Job
 

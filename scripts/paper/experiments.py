@@ -148,7 +148,7 @@ def score(record: RunRecord) -> dict[str, Any]:
         "path_m": m["path_length_m"],
         "path_over_tour": m["path_length_m"] / m["tour_m"],
         "areas": len(states),
-        "areas_open": states.count("left open"),
+        "areas_open": states.count("open"),
         "ending": m["ending"],
         "dead_reckoning_ate_m": m["dead_reckoning_ate_m"],
     }
@@ -188,13 +188,13 @@ def intervals(frame: pd.DataFrame, by: Sequence[str], metric: str) -> pd.DataFra
     """Return mean, 95 % interval of the mean, and n of a metric in each group of rows.
 
     No interval is given of fewer than 5 rows. It ends at 0, below which no count, length or share lies, and that of a
-    share at 1.
+    share at 1, that of the closed cycles at all of them.
     """
-    greatest = 1.0 if metric in SHARES else np.inf
+    most = frame.cycles_total.max() if metric == "cycles_closed" else 1.0 if metric in SHARES else np.inf
 
     def entry(values: pd.Series) -> pd.Series:
         numbers = values.to_numpy(float)
-        low, high = np.clip(mean_interval(numbers), 0.0, greatest) if len(numbers) >= 5 else (np.nan, np.nan)
+        low, high = np.clip(mean_interval(numbers), 0.0, most) if len(numbers) >= 5 else (np.nan, np.nan)
         return pd.Series({"mean": numbers.mean(), "low": low, "high": high, "n": len(numbers)})
 
     return pd.DataFrame(frame.groupby(list(by), sort=False)[metric].apply(entry).unstack())

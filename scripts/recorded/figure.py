@@ -13,8 +13,6 @@ from cyclic_env.rendering.colors import AMBER, INK
 from cyclic_env.rendering.figures import add_legend, draw_claims, draw_path, plan_figure, rgb
 
 DPI = 150
-MARGIN = 3.0
-"""Metres around all that is drawn."""
 ODOMETRY_SHARE = 0.35
 """How far the odometry may widen the page, as a share of the track's longer side."""
 POINTS_MAX = 60_000
@@ -46,17 +44,15 @@ def draw_recorded_run(
     claims : (m,) CLAIM, or None
         The judged ones, by the scans.
     """
-    low, high = track.min(axis=0), track.max(axis=0)
-    beyond = MARGIN + ODOMETRY_SHARE * (high - low).max()
-    west, south = np.minimum(low, np.maximum(odometry.min(axis=0), low - beyond)) - MARGIN
-    east, north = np.maximum(high, np.minimum(odometry.max(axis=0), high + beyond)) + MARGIN
-    ground = plan
-    if ground is None:  # an empty page of that size
-        page = polygon_from_rings([(west, south), (east, south), (east, north), (west, north)])
-        ground = FloorPlan("open ground", page, (*track[0].tolist(), 0.0))
-    figure, axes = plan_figure(ground, title, scores)
-    (x0, x1), (y0, y1) = axes.get_xlim(), axes.get_ylim()
-    axes.set(xlim=(min(x0, west), max(x1, east)), ylim=(min(y0, south), max(y1, north)))
+    shown = [track] if points is None or not len(points) else [track, np.quantile(points, (0.01, 0.99), axis=0)]
+    if plan is not None:
+        shown.append(np.reshape(plan.bounds, (2, 2)))
+    low, high = np.concatenate(shown).min(axis=0), np.concatenate(shown).max(axis=0)
+    beyond = ODOMETRY_SHARE * (high - low).max()
+    low = np.minimum(low, np.maximum(odometry.min(axis=0), low - beyond))
+    high = np.maximum(high, np.minimum(odometry.max(axis=0), high + beyond))
+    (west, south), (east, north) = low.tolist(), high.tolist()
+    figure, axes = plan_figure(plan or _open_ground(track[0], low, high), title, scores, (west, south, east, north))
     if points is not None:
         drawn = points[:: max(1, len(points) // POINTS_MAX)]
         style = {"s": 0.25, "linewidths": 0, "color": rgb(INK), "alpha": 0.5}
@@ -71,3 +67,11 @@ def draw_recorded_run(
     add_legend(axes)
     with atomic_write(file) as part:
         figure.savefig(part, dpi=DPI)
+
+
+def _open_ground(start: np.ndarray, low: np.ndarray, high: np.ndarray) -> FloorPlan:
+    """Return a plan without walls within a page from `low` to `high`."""
+    beyond = (high - low).max() + 1.0
+    (west, south), (east, north) = (low - beyond).tolist(), (high + beyond).tolist()
+    page = polygon_from_rings([(west, south), (east, south), (east, north), (west, north)])
+    return FloorPlan("open ground", page, (*start.tolist(), 0.0))

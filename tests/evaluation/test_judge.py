@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cyclic_env import ClosureConfig, CyclicLoopEnv, RecordedRun, RecordingError, load_floor_plan, read_robot_log
-from cyclic_env.evaluation.judge import JudgeReport, judge_run, match_claims
+from cyclic_env.evaluation.claim_matching import match_claims
+from cyclic_env.evaluation.judge import JudgeReport, judge_run
 from cyclic_env.evaluation.scan_overlap import Scans
 from cyclic_env.task.trajectory_truth import judge_trajectory
 from cyclic_env.trajectory.poses import compose

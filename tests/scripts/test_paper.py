@@ -12,11 +12,12 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+from agents.exploration.frontiers import OpenArea
 from agents.knn.similarity import MEASURES
 from cyclic_env.config import NOISE_PRESETS
 from scripts.paper import figures, report
 from scripts.paper import store as storage
-from scripts.paper.experiments import Scope, differences, intervals
+from scripts.paper.experiments import Scope, differences, intervals, score
 from scripts.paper.recognition import BEAMS, SEARCHES, SECTORS, SecondLap, centres_found, curve_scores, found_shares
 from scripts.paper.report import GOLDEN_FIRST, TABLE_1, Reproduction, table_1_of
 from scripts.paper.runs import RunRecord, RunSettings, drive_again, run_explorer, scaled_noise
@@ -72,6 +73,12 @@ def test_a_path_along_a_wall_can_be_driven_again(eight: RunRecord) -> None:
     trajectory = eight.trajectory.copy()
     trajectory[:, :2] = trajectory[0, :2] + (0.85, 0.0)  # 0.15 m off the wall
     assert len(drive_again(replace(eight, trajectory=trajectory), 3).step) == 3 * len(eight.step)
+
+
+def test_open_areas_of_a_run_are_counted(eight: RunRecord) -> None:
+    states = [OpenArea(0, 0, np.zeros(2)).state, "visited"]
+    scores = score(replace(eight, metrics={**eight.metrics, "area_states": states}))
+    assert (scores["areas"], scores["areas_open"]) == (2, 1)
 
 
 # Recognition.

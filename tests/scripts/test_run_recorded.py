@@ -81,6 +81,9 @@ def test_a_log_without_a_reference_is_played_and_not_judged(
     assert "not judged: the log has no reference" in capsys.readouterr().out
     assert json.loads((tmp_path / "scores.json").read_text())["claims"] == 0
     assert not np.isnan(read_trajectory(tmp_path / "track.tum").poses).any()
+    assert not (tmp_path / "reference.tum").exists()
+    assert main(["--log", str(tmp_path / "bare.npz"), "--out", str(tmp_path), "--map", "ring"]) == 2
+    assert "has no reference poses" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -155,7 +155,7 @@ function seek(frame) {
 }
 function choose(index) {
   state.run = runs[index]; state.hover = null; clearSeen();
-  slider.max = state.run.frames - 1;
+  slider.max = state.run.frames - 1; $("run").value = index;
   seek(Math.min(state.frame, state.run.frames - 1));
 }
 function fit() {
