@@ -78,6 +78,11 @@ def privileged_names() -> tuple[str, ...]:
     return _PRIVILEGED
 
 
+def agent_label(name: str) -> str:
+    """Return the name of an agent for tables and figures, which says so if it is privileged."""
+    return f"{name} (privileged)" if name in _PRIVILEGED else name
+
+
 def baseline_names() -> tuple[str, ...]:
     """Return the names of the agents that follow fixed rules."""
     return tuple(_BASELINES)
