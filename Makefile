@@ -30,6 +30,9 @@ paper: $(VENV)/.paper ## Reproduce the paper and test its claims: a report with 
 paper-all: $(VENV)/.paper ## The same, with variations of how the paper is read and a sweep of the noise
 	$(BIN)/python scripts/reproduce_paper.py --all
 
+compare: $(VENV)/.paper ## Compare agents in the default suite: a table, a report and a page with replays in out/compare
+	$(BIN)/python scripts/compare.py
+
 $(BIN)/python:
 	$(PYTHON) -m venv $(VENV)
 

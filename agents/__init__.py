@@ -8,6 +8,6 @@ extra ``train``.
 
 from __future__ import annotations
 
-from agents.registry import agent_names, baseline_names, make_agent, privileged_names
+from agents.registry import agent_label, agent_names, baseline_names, make_agent, privileged_names
 
-__all__ = ["agent_names", "baseline_names", "make_agent", "privileged_names"]
+__all__ = ["agent_label", "agent_names", "baseline_names", "make_agent", "privileged_names"]

@@ -62,7 +62,7 @@ _EXPLORERS = {
 }
 PRETRAINED = Path(__file__).with_name("pretrained")
 """Folder of the shipped models, each the folder of a training run."""
-_LEARNED = ("ppo_headings",)
+_LEARNED = ("ppo_headings", "ppo_headings_1")
 _HEADINGS = (*_LEARNED, "headings_rule", "headings_random")
 _FRONTIERS = {
     "frontier": FrontierAgentConfig(),
@@ -76,6 +76,11 @@ _PRIVILEGED = ("oracle", "perfect_detector")
 def privileged_names() -> tuple[str, ...]:
     """Return the names of the agents that see the truth about their environment: bounds, never to be ranked."""
     return _PRIVILEGED
+
+
+def agent_label(name: str) -> str:
+    """Return the name of an agent for tables and figures, which says so if it is privileged."""
+    return f"{name} (privileged)" if name in _PRIVILEGED else name
 
 
 def baseline_names() -> tuple[str, ...]:

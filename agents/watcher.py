@@ -9,6 +9,7 @@ import numpy as np
 from agents.actions import Decision, match_of
 from agents.base import Agent, BatchPolicy
 from agents.slam.mapper import Mapper, MapperConfig
+from agents.slam.scan_filters import LaserReader
 from cyclic_env.config import ActionType, LaserConfig
 
 
@@ -29,12 +30,13 @@ class LoopWatcher(Agent):
 
     def __init__(self, laser: LaserConfig, config: MapperConfig | None = None) -> None:
         self.beams = laser.num_beams
-        self.mapper = Mapper(laser, config)
+        self.reader = LaserReader(laser)
+        self.mapper = Mapper(self.reader.laser, config)
         self.claims: list[tuple[int, int]] = []
 
     def decide(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> Decision:
         """Observe, and claim; the wheels stand still."""
-        step = self.mapper.observe(scan, distance, math.atan2(compass[1], compass[0]))
+        step = self.mapper.observe(self.reader.read(scan), distance, math.atan2(compass[1], compass[0]))
         if step is None:
             return Decision(0.0, 0.0)
         steps = self.mapper.step + 1

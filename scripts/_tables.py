@@ -6,6 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
+from agents import agent_label
 from cyclic_env.evaluation.statistics import Evaluation
 
 TEXT_COLUMNS = ("agent", "map", "noise", "actions", "start")
@@ -47,7 +48,7 @@ def format_table(evaluations: Sequence[Evaluation], *, markdown: bool = False, w
 def _cells(evaluation: Evaluation) -> dict[str, str]:
     count = str(len(evaluation.episodes)) + (" identical" if evaluation.identical_episodes else "")
     cells = {
-        "agent": evaluation.agent,
+        "agent": agent_label(evaluation.agent),
         "map": evaluation.map,
         "noise": evaluation.noise,
         "actions": evaluation.action_type,

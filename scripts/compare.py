@@ -76,6 +76,8 @@ class Options:
     """run so many rows again, and say what differs, instead"""
     no_report: Flag = False
     """run, and write no report"""
+    report_only: Flag = False
+    """run nothing, and write the report of what is there"""
 
 
 @command(Options, EXAMPLES)
@@ -91,7 +93,8 @@ def main(args: Options) -> int:
     )
     if args.verify is not None:
         return verify_rows(table, choose_rows(table, jobs, args.verify), options)
-    run_missing(table, jobs, args, options)
+    if not args.report_only:
+        run_missing(table, jobs, args, options)
     for row in (table.rows[job.key] for job in jobs if job in table):
         if row["status"] == FAILED:
             print("failed: {agent} on {map}, {tier}, seed {seed}: {error}".format(**row))

@@ -221,7 +221,7 @@ class Run:
             "path_over_tour": None if math.isnan(tour) else self.info["path_length_m"] / tour,
             "groups": len(self.explorer.groups),
             "rows": self.explorer.keyframes.count,
-            "rows_compared": self.explorer.detector.vote.compared,
+            "rows_compared": self.explorer.detector.compared,
             "open_areas": len(self.explorer.frontiers.listed),
             **track_errors(self.recording()),
             "seconds_per_step_env": None if watched else mean(self.env_s),
@@ -258,19 +258,15 @@ def track_errors(recording: Recording) -> dict[str, float | None]:
 def export(run: Run, folder: Path) -> None:
     """Write the files of `EXPORTS` into a folder."""
     assert run.explorer is not None
-    recording, tracker = run.recording(), run.explorer.tracker
+    recording = run.recording()
     corrected = recording.tracks["corrected"]
     write_recording(recording, folder / "episode.npz")
     write_tum(folder / "true.tum", recording.times, recording.poses)
     write_tum(folder / "dead_reckoned.tum", recording.times, recording.dead_reckoned)
     write_tum(folder / "corrected.tum", recording.dt * corrected[:, 0], corrected[:, 1:])
-    write_g2o(
-        folder / "pose_graph.g2o",
-        corrected[:, 1:],
-        tracker.edges,
-        tracker.heading_information,
-        run.explorer.keyframes.compass,
-    )
+    poses, edges = run.explorer.tracker.graph(run.explorer.keyframes)
+    start = np.array([*run.env.trajectory()[0, :2], 0.0])
+    write_g2o(folder / "pose_graph.g2o", poses + start, edges)
 
 
 def score_table(metrics: dict[str, Any]) -> str:

@@ -79,7 +79,7 @@ def draw_scan(grid, ranges, range_max, pose, values):
             if 0 <= i < cells and 0 <= j < cells:
                 grid.passes[i, j] += 1
             along += values.beam_step * values.cell
-        if r < range_max - SHORT_OF_REACH:
+        if 0.0 < r < range_max - SHORT_OF_REACH:
             r += values.wall_depth
             i, j = math.floor(y0 + r * sin), math.floor(x0 + r * cos)
             if 0 <= i < cells and 0 <= j < cells:

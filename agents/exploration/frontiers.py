@@ -76,6 +76,8 @@ class Frontiers:
     range_max : float
     config : FrontierConfig, optional
     visibility : VisibilityConfig, optional
+    looks : (beams,) bool, optional
+        Where the laser looks: only there it sees that something is open.
 
     Attributes
     ----------
@@ -91,6 +93,7 @@ class Frontiers:
     range_max: float
     config: FrontierConfig = field(default_factory=FrontierConfig)
     visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
+    looks: np.ndarray | None = None
     polar: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)), init=False)
     keyframe: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), init=False)
     area: np.ndarray = field(default_factory=lambda: np.zeros(0, np.int64), init=False)
@@ -155,6 +158,8 @@ class Frontiers:
         near = np.flatnonzero((here < self.config.sight) & keyframes.is_direct(geodesic_m, here))
         polar = np.empty((max(self.config.max_points, 2 * self.beams), 3))
         polar = polar[: open_points(keyframes.scan[keyframe], self.range_max, polar, self._values)]
+        if self.looks is not None:
+            polar = polar[self.looks[np.rint(polar[:, 1]).astype(np.int64) % self.beams]]
         points = to_track(polar, np.tile(keyframes.pose[keyframe], (len(polar), 1)), 2 * np.pi / self.beams)
         new = ~self._is_explored(keyframes, near[near != keyframe], points)
         for blocked in self._blacklist:

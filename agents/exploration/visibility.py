@@ -1,8 +1,8 @@
 """Visibility: how far the robot can drive in a scan, which points are in sight, and where unseen space begins.
 
-A scan is `(beams,)` ranges in metres, beam 0 straight ahead, counter-clockwise, evenly spaced. The polygon that its
-endpoints span is free and seen. Poses are (x, y, heading) in the frame of the track; angles are radians, and numbers of
-beams may be fractions. The kernels do not validate.
+A scan is `(beams,)` ranges in metres, beam 0 straight ahead, counter-clockwise, evenly spaced; 0 where nobody looked.
+The polygon that its endpoints span is free and seen. Poses are (x, y, heading) in the frame of the track; angles are
+radians, and numbers of beams may be fractions. The kernels do not validate.
 """
 
 from __future__ import annotations
@@ -67,6 +67,8 @@ def clear_lengths(ranges, half_width, out):
     for k in range(n):
         # A wall at this beam's end is in the way of all beams that pass it nearer than the half width.
         r = ranges[k]
+        if r <= 0.0:  # not looked at
+            continue
         aside = math.asin(half_width / r) if r > half_width else math.pi / 2
         reach = int(aside / spacing)
         for offset in range(-reach, reach + 1):
@@ -153,7 +155,7 @@ def _continues(ranges, range_max, k, step, far, values):
     along = math.sqrt((fx - x) ** 2 + (fy - y) ** 2)
     for reach in range(1, values.line_beams + 1):
         i = (k + step * reach) % n
-        if ranges[i] >= range_max - SHORT_OF_REACH:
+        if ranges[i] <= 0.0 or ranges[i] >= range_max - SHORT_OF_REACH:
             return False
         dx, dy = ranges[i] * math.cos(i * spacing) - x, ranges[i] * math.sin(i * spacing) - y
         base = math.sqrt(dx * dx + dy * dy)
@@ -199,6 +201,8 @@ def open_points(ranges, range_max, out, values):
     for k in range(n):
         other = (k + 1) % n
         a, b, kind = ranges[k], ranges[other], FIRM
+        if a <= 0.0 or b <= 0.0:  # at the edge of what the laser looks at
+            continue
         if a >= free and b >= free:
             first, last, beam, kind = range_max - values.reach_clearance, range_max, k + 0.5, UNBOUNDED
         elif abs(a - b) > values.jump:

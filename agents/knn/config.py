@@ -18,10 +18,9 @@ from agents.exploration.survey import SurveyConfig
 from agents.exploration.visibility import VisibilityConfig
 from agents.knn.similarity import MEASURES, measure_by_name
 from agents.slam.keyframes import KeyframeConfig
-from agents.slam.pose_graph import PoseGraphConfig
+from agents.slam.loop_closer import BY_APPEARANCE, NEVER
+from agents.slam.mapper import MapperConfig
 from agents.slam.scan_filters import FilterConfig
-from agents.slam.scan_matching import MatcherConfig
-from agents.slam.tracker import TrackerConfig
 from cyclic_env.config import LaserConfig, RobotConfig
 from cyclic_env.errors import ConfigError
 from cyclic_env.validation import check_bool, check_choice, check_integer, check_number
@@ -58,36 +57,14 @@ def calibrated_thresholds(detector: str = "both") -> dict[str, float]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DetectorConfig(ComponentConfig):
-    """When a place counts as visited; lengths in metres."""
+    """When a place counts as visited by dead reckoning; lengths in metres."""
 
     gap: float = 20.1
     """Metres driven since a keyframe before the robot can be back at it: as a revisit is defined, and a bit more."""
     leave: float = 10.1
     """Metres that it must have been away in between: as a revisit is defined, and a bit more."""
-    at_keyframe: float = 2.5
-    """Distance from a keyframe at which the robot is back there: half a metre less than counts."""
-    sight_half_width: float = 0.2
-    """Distance from all walls that the line of sight to it must have, for the track may err by as much."""
     position_radius: float = 2.0
-    """Distance from a keyframe by dead reckoning at which the robot is back there, where no scans are matched."""
-    drift_min: float = 1.5
-    drift_max: float = 25.0
-    """What the track may err by at least and at most; see `PoseTracker.drift`."""
-    guess_position_std: float = 1.0
-    guess_heading_std: float = math.radians(10)
-    """Standard deviations of the robot's pose about a keyframe that the vote has found."""
-    inlier_ratio_slack: float = 0.05
-    """By how much the inlier ratio of a match may be lower than that of successive scans."""
-    inliers_min: int = 50
-    eigenvalue_min: float = 4.0
-    """Endpoints that must tell each direction."""
-    rival_distance: float = 1.5
-    rival_margin: float = 0.08
-    """A match that far away must have an inlier ratio lower by this; else the two places can't be told apart."""
-    same_correction: float = 0.8
-    """Distance between the corrections that two matches in a row call for, if both are right."""
-    pending: int = 3
-    """Keyframes after which a match that has not been confirmed is forgotten."""
+    """Distance from a keyframe by dead reckoning at which the robot is back there."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,6 +77,8 @@ class ObserverConfig(ComponentConfig):
     """Distance from the last keyframe at which one is added where the robot has arrived at its goal."""
     look_again: float = 3.0
     """Time after which the goal is thought over, if there was no new keyframe."""
+    look_speed: float = 0.15
+    """Share of the full turning rate with which a laser that doesn't see all around looks there at the beginning."""
     advance_max: float = 2.0
     """What no robot drives in a step: a distance meter that shows more is out of order."""
     compass_min: float = 0.5
@@ -119,10 +98,10 @@ class ExplorerConfig:
     Parameters
     ----------
     detector : {"both", "knn", "position"}
-        What tells a visited place: its appearance (the KNN vote) among the places near, its appearance alone, or its
-        position alone.
+        What tells a visited place: its appearance among the places near, its appearance alone, or its position alone.
+        Appearance is the KNN vote or, with `match_scans`, that of the map's panoramas.
     measure : str
-        Similarity of two keyframes' features; see `agents.knn.similarity.MEASURES`.
+        Similarity of two keyframes' features in the vote; see `agents.knn.similarity.MEASURES`.
     neighbours : int
         K: the keyframes that vote.
     threshold : float, optional
@@ -134,10 +113,8 @@ class ExplorerConfig:
         Metres that the features are whole multiples of.
     row_spacing : float
         Metres between keyframes, the rows of the paper's tables.
-    both_directions : bool
-        Compare with tables of the opposite direction, too, looking back.
     match_scans : bool
-        Correct the track by matching scans, verify by matching what the vote finds, and close loops in a pose graph.
+        Make a map of matched scans, which corrects the track, finds the places that are known, and closes loops.
     unbounded_only : bool
         Go only to openings with no wall within the laser's reach.
     go_on : bool
@@ -145,7 +122,7 @@ class ExplorerConfig:
     order : {"nearest", "first in first out", "last in first out"}
         In which open areas are gone to.
     join : bool
-        Connect a visited place to the known one, where no scans are matched (where they are, always).
+        Connect a visited place to the known one.
     look_again : bool
         When no opening is left and the episode goes on, look again where the robot has hardly looked, try what was
         given up, and drive the laps that it has only seen; if not, stop.
@@ -153,10 +130,11 @@ class ExplorerConfig:
         Keyframes of each group, from its beginning, that are compared with earlier tables; None: all.
     range_max : float
         Reach of the laser, metres.
+    field_of_view, mounting_angle : float
+        Of the laser, radians; see `LaserConfig`.
     dt : float
         Length of a step, seconds.
-    filters, keyframes, matcher, tracker, pose_graph, loops, visibility, frontiers, costmap, planner, survey, building,
-    observer
+    filters, keyframes, mapper, loops, visibility, frontiers, costmap, planner, survey, building, observer
         The components' own settings.
 
     Raises
@@ -172,7 +150,6 @@ class ExplorerConfig:
     sectors: int = 7
     rounding: float = 0.5
     row_spacing: float = 1.0
-    both_directions: bool = True
     match_scans: bool = True
     unbounded_only: bool = False
     go_on: bool = False
@@ -181,12 +158,12 @@ class ExplorerConfig:
     look_again: bool = True
     asked_rows: int | None = None
     range_max: float = 12.0
+    field_of_view: float = math.tau
+    mounting_angle: float = 0.0
     dt: float = 0.2
     filters: FilterConfig = field(default_factory=FilterConfig)
     keyframes: KeyframeConfig = field(default_factory=KeyframeConfig)
-    matcher: MatcherConfig = field(default_factory=MatcherConfig)
-    tracker: TrackerConfig = field(default_factory=TrackerConfig)
-    pose_graph: PoseGraphConfig = field(default_factory=PoseGraphConfig)
+    mapper: MapperConfig = field(default_factory=MapperConfig)
     loops: DetectorConfig = field(default_factory=DetectorConfig)
     visibility: VisibilityConfig = field(default_factory=VisibilityConfig)
     frontiers: FrontierConfig = field(default_factory=FrontierConfig)
@@ -202,7 +179,7 @@ class ExplorerConfig:
         measure_by_name(self.measure)
         check_integer(self, "neighbours", 1, MOST)
         check_integer(self, "sectors", 2, MOST)
-        for name in ("both_directions", "match_scans", "unbounded_only", "go_on", "join", "look_again"):
+        for name in ("match_scans", "unbounded_only", "go_on", "join", "look_again"):
             check_bool(self, name)
         for name in ("rounding", "row_spacing", "range_max", "dt"):
             check_number(self, name, 0.0, MOST, open_low=True)
@@ -218,6 +195,21 @@ class ExplorerConfig:
             return self.threshold
         return calibrated_thresholds("knn" if self.detector == "knn" else "both")[self.measure]
 
+    @property
+    def mapper_settings(self) -> MapperConfig:
+        """The mapper's settings, with loops closed as the detector says."""
+        loops = {"both": self.mapper.loops, "knn": replace(self.mapper.loops, **BY_APPEARANCE)}
+        return replace(self.mapper, loops=loops.get(self.detector, replace(self.mapper.loops, **NEVER)))
+
+    def laser(self, beams: int) -> LaserConfig:
+        """Return the laser with that number of beams."""
+        return LaserConfig(
+            num_beams=beams,
+            range_max=self.range_max,
+            field_of_view=self.field_of_view,
+            mounting_angle=self.mounting_angle,
+        )
+
     def fitted(self, laser: LaserConfig, robot: RobotConfig) -> ExplorerConfig:
         """Return these settings for another laser and robot: its reach, radius, speed and step.
 
@@ -229,6 +221,8 @@ class ExplorerConfig:
         return replace(
             self,
             range_max=laser.range_max,
+            field_of_view=laser.field_of_view,
+            mounting_angle=laser.mounting_angle,
             dt=robot.dt,
             visibility=replace(visibility, wall_clearance=visibility.wall_clearance + larger),
             costmap=replace(costmap, clearance=costmap.clearance + larger),
@@ -262,7 +256,6 @@ class ExplorerConfig:
 
 PRESETS: dict[str, ExplorerConfig] = {
     "paper": ExplorerConfig(
-        both_directions=False,
         match_scans=False,
         go_on=True,
         order="first in first out",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from agents.actions import Decision, match_of
@@ -40,15 +42,18 @@ class KnnExplorer(LoopObserver, Agent):
 
     def __init__(self, config: ExplorerConfig, beams: int) -> None:
         super().__init__(config, beams)
-        self.frontiers = Frontiers(beams, config.range_max, config.frontiers, config.visibility)
-        self.planner = Planner(beams, config.dt, Costmap(config.range_max, config.costmap), config.planner)
-        survey = Survey(beams, config.range_max, config.survey, config.building, config.costmap)
+        around = self._unseen.size
+        looks = None if self.reader.laser.sees_all_around else ~self._unseen
+        self.frontiers = Frontiers(around, config.range_max, config.frontiers, config.visibility, looks)
+        self.planner = Planner(around, config.dt, Costmap(config.range_max, config.costmap), config.planner)
+        survey = Survey(around, config.range_max, config.survey, config.building, config.costmap)
         self.survey = survey if config.look_again else None
         self._goals: Frontiers | Survey = self.frontiers
         self.on_list = False
         self.done = False
         self._look_again = round(config.observer.look_again / config.dt)
         self._since_choice = 0
+        self._left_to_look = 0.0 if self.reader.laser.sees_all_around else math.tau
 
     def decide(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> Decision:
         """Observe, and drive on: the paper's Steps 1 to 6."""
@@ -59,13 +64,22 @@ class KnnExplorer(LoopObserver, Agent):
             if self._is_due():
                 found = self.add_keyframe()  # Steps 1 and 5: a row, and the comparison with earlier tables
                 self._update_list(found)  # Step 1: the list of open areas
-            self._go_on()  # Step 6: to an open area, or on
+            if self._left_to_look <= 0:
+                self._go_on()  # Step 6: to an open area, or on
         self.steps += 1
         speed, turn = self.planner.steer(self.tracker.pose, self.scans[0])
+        if self._left_to_look > 0:
+            speed, turn = self._look_around()
         step = self.claim(found)
         if step is None:
             return Decision(speed, turn)
         return Decision(speed, turn, claim=True, match=match_of(step, self.steps))
+
+    def _look_around(self) -> tuple[float, float]:
+        """Return speed and turning rate at the beginning, until the laser has looked everywhere."""
+        if self.steps > 1:
+            self._left_to_look -= abs(wrap_angle(self.poses[0, 2] - self.poses[1, 2]))
+        return 0.0, self.config.observer.look_speed
 
     @property
     def belief(self) -> np.ndarray:
@@ -85,9 +99,10 @@ class KnnExplorer(LoopObserver, Agent):
         return "only openings left that it doesn't go to" if len(self.frontiers) else "list empty"
 
     def _is_due(self) -> bool:
-        """Whether it is time for a keyframe: after a while, and at the goal."""
+        """Whether it is time for a keyframe: after a while, at the goal, and where the laser looks elsewhere."""
         arrived = self.planner.has_arrived(self.tracker.pose) and self.moved > self.config.observer.arrival_spacing
-        return arrived or self.moved >= self.config.row_spacing
+        looks_elsewhere = not self.reader.laser.sees_all_around and self.turned > self.config.field_of_view / 3
+        return arrived or self.moved >= self.config.row_spacing or looks_elsewhere
 
     def _review(self) -> None:
         """Give up a goal that can't be reached, and verify openings by the scans before and after their keyframe."""

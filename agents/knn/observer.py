@@ -9,12 +9,11 @@ import numpy as np
 from agents.exploration.visibility import inside
 from agents.knn.config import ExplorerConfig
 from agents.knn.directions import Group, compass_direction, sector_features
-from agents.knn.loop_detector import Detection, make_detector
+from agents.knn.loop_detector import Detection, make_detector, make_tracker
 from agents.slam.keyframes import Keyframes, Paths
-from agents.slam.scan_filters import confirm, despeckle, fill, reliable_endpoints
-from agents.slam.scan_matching import ScanMatcher
-from agents.slam.se2 import compose, euclidean_distances, relative
-from agents.slam.tracker import DeadReckoningTracker, ScanMatchingTracker
+from agents.slam.panorama import panorama_beams
+from agents.slam.scan_filters import LaserReader, confirm, despeckle, fill
+from agents.slam.se2 import compose, euclidean_distances, relative, wrap_angle
 from cyclic_env.errors import ConfigError
 
 
@@ -47,8 +46,9 @@ class LoopObserver:
         Whether the last keyframe's place was known.
     trusted_from : int
         Step from which sensors that were out of order are trusted again, so that claims are made.
-    measured, scans, poses : (scans_kept, beams), the same and (scans_kept, 3)
-        The latest scans, newest first: as measured and without speckle, and where they were taken.
+    measured, scans, poses : (scans_kept, n), the same and (scans_kept, 3)
+        The latest scans all around, newest first: as measured and without speckle, 0 where the laser does not look, and
+        where they were taken.
 
     Raises
     ------
@@ -66,20 +66,20 @@ class LoopObserver:
         self.direction: int | None = None
         self.indicators = [0, 0, 0, 0]
         self.groups: list[Group] = []
-        self.keyframes = Keyframes(beams, config.sectors, config.keyframes)
-        self.matcher = ScanMatcher(config.range_max, config.matcher)
-        self.tracker = (
-            ScanMatchingTracker(self.matcher, config.tracker, config.pose_graph)
-            if config.match_scans
-            else DeadReckoningTracker(config.tracker)
-        )
-        self.detector = make_detector(config, self.matcher)
+        self.reader = LaserReader(config.laser(beams))
+        self._bearings, around = panorama_beams(self.reader.laser)
+        self._unseen = np.ones(around, np.bool_)
+        self._unseen[self._bearings] = False
+        self.keyframes = Keyframes(around, config.sectors, config.keyframes)
+        self.tracker = make_tracker(config, self.reader.laser)
+        self.detector = make_detector(config, self.tracker)
         self.paths = Paths(np.zeros(0), np.zeros(0, np.int64))
         self.claims: list[tuple[int, int]] = []
         self.visited = False
         self.trusted_from = 0
         kept = config.observer.scans_kept
-        self.measured, self.scans, self.poses = np.zeros((kept, beams)), np.zeros((kept, beams)), np.zeros((kept, 3))
+        self.measured, self.scans, self.poses = np.zeros((kept, around)), np.zeros((kept, around)), np.zeros((kept, 3))
+        self._ranges = np.zeros(self.reader.laser.num_beams)
 
     def observe(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> int | None:
         """Take one step's readings; return the step at which the robot was here before, if it is back somewhere.
@@ -94,15 +94,17 @@ class LoopObserver:
     def sense(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> None:
         """Take one step's readings, and follow the compass's direction."""
         config, driven = self.config, self.tracker.path
-        scan = np.fmax(np.fmin(scan, config.range_max), 0.0)  # of a NaN and a number, the number
+        self._ranges = self.reader.read(scan)
         self.tracker.advance(distance, compass)
         advance = self.tracker.path - driven
         if advance > config.observer.advance_max or math.hypot(*compass) < config.observer.compass_min:
             self.trusted_from = self.steps + round(config.observer.distrust / config.dt)
-        for kept, new in ((self.measured, scan), (self.scans, scan), (self.poses, self.tracker.pose)):
+        for kept in (self.measured, self.scans, self.poses):
             kept[1:] = kept[:-1]
-            kept[0] = new
-        despeckle(scan, self.scans[0])
+        self.measured[0, self._bearings], self.poses[0] = self._ranges, self.tracker.pose
+        despeckle(self.measured[0], self.scans[0])
+        if self.tracker.follow(self.keyframes, self._ranges):
+            self._move_scans()
         # Steps 2 to 4: a change of direction raises the new direction's indicator, and begins a group.
         direction = compass_direction(self.tracker.compass, self.direction)
         if direction != self.direction:
@@ -122,21 +124,28 @@ class LoopObserver:
             return math.inf
         return math.hypot(*(self.tracker.pose[:2] - self.keyframes.pose[-1, :2]))
 
+    @property
+    def turned(self) -> float:
+        """Radians by which the heading differs from that of the last keyframe."""
+        return abs(wrap_angle(self.tracker.pose[2] - self.keyframes.pose[-1, 2])) if self.keyframes.count else math.inf
+
     def add_keyframe(self) -> Detection:
         """Add a keyframe where the robot is, and say whether it has been here before."""
-        before = self.tracker.pose.copy()
         self._add_row()  # Step 1: a row of the group's table
         found = self._compare()  # Step 5: the comparison with earlier tables
-        self.poses = compose(self.tracker.pose, relative(before, self.poses))
+        self._move_scans()
         return found
+
+    def _move_scans(self) -> None:
+        """Let the latest scans move with the robot, whose pose was corrected."""
+        self.poses = compose(self.tracker.pose, relative(self.poses[0], self.poses))
 
     def claim(self, found: Detection) -> int | None:
         """Return the step that is claimed for what was found, if the sensors are trusted."""
-        if found.visited is None or self.steps < self.trusted_from:
+        if found.step is None or self.steps < self.trusted_from:
             return None
-        step = int(self.keyframes.step[found.visited])
-        self.claims.append((self.steps, step))
-        return step
+        self.claims.append((self.steps, found.step))
+        return found.step
 
     def _add_row(self) -> None:
         config, tracker = self.config, self.tracker
@@ -146,17 +155,14 @@ class LoopObserver:
         for earlier in range(1, filters.scans_to_confirm + 1):
             confirm(latest, tracker.pose, self.scans[earlier], self.poses[earlier], confirmed, tolerance, beams)
         fill(latest, confirmed, scan)
+        tracker.add_row(self.keyframes, self._ranges)
+        scan[self._unseen] = 0.0 if tracker.panorama is None else tracker.panorama[self._unseen]
         self.scans[0] = scan
-        endpoints = reliable_endpoints(scan, self.measured[0], config.range_max, filters)
-        tracker.localize(self.keyframes, scan, endpoints, self.paths.distances)
         row = self.keyframes.add(
             pose=tracker.pose,
             odometry=tracker.odometry,
             scan=scan,
-            endpoints=endpoints,
-            lines=self.matcher.wall_lines(endpoints),
             features=sector_features(scan, config.sectors, config.rounding),
-            compass=tracker.compass,
             direction=self.direction,
             group=len(self.groups) - 1,
             step=self.steps,
@@ -174,15 +180,11 @@ class LoopObserver:
             found = self.detector.detect(keyframes, tracker, self.paths.distances)
         if found.connects is not None:
             keyframes.connect(found.connects, last)
-        if found.loop is not None:
-            tracker.add_loop_closure(keyframes, found.loop)
-            found.visited = self.detector.locate(keyframes, tracker)
-        tracker.relax(keyframes)
-        if found.connects is not None:
+            tracker.join(found.connects)
             self.paths = keyframes.geodesic_distances(last)
         self._connect_neighbors()
         self.paths = keyframes.geodesic_distances(last)
-        self.visited = found.visited is not None
+        self.visited = found.step is not None
         return found
 
     def _connect_neighbors(self) -> None:

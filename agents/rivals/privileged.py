@@ -6,6 +6,7 @@ They bound from above what any agent can reach, are marked in every table, and a
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -17,9 +18,9 @@ from agents.knn.explorer import KnnExplorer
 from agents.knn.loop_detector import Detection, LoopDetector
 from agents.rivals.route import plan_route, turning_points
 from agents.slam.keyframes import Keyframes
-from agents.slam.scan_matching import Match
-from agents.slam.se2 import compose, euclidean_distances, relative, wrap_angle
-from agents.slam.tracker import PoseTracker
+from agents.slam.registration import Registration
+from agents.slam.se2 import relative, wrap_angle
+from agents.slam.tracker import MappingTracker, PoseTracker
 from cyclic_env.config import ActionType
 from cyclic_env.evaluation.privileged import PrivilegedView
 
@@ -30,8 +31,8 @@ PASSED, TURNED = 0.45, 0.2
 TURN_GAIN = 1.5
 TURN_ON_SPOT = 0.9
 """Share of the full turning rate for each radian off the route; and the angle from which it turns on the spot."""
-TRUE_POSITION_STD, TRUE_HEADING_STD = 0.01, math.radians(0.1)
-"""What a pose graph takes the truth to err by."""
+TRUE_STD = np.array([0.01, 0.01, math.radians(0.1)])
+"""What a pose graph takes the truth to err by, metres and radians."""
 
 
 class PrivilegedPolicy(BatchPolicy):
@@ -110,13 +111,14 @@ class PerfectDetector(LoopDetector):
     Parameters
     ----------
     config : ExplorerConfig
+    tracker : MappingTracker
     view : PrivilegedView
     row : int
     """
 
-    def __init__(self, config: ExplorerConfig, view: PrivilegedView, row: int) -> None:
+    def __init__(self, config: ExplorerConfig, tracker: MappingTracker, view: PrivilegedView, row: int) -> None:
         super().__init__(config)
-        self.view, self.row = view, row
+        self.tracker, self.view, self.row = tracker, view, row
         self._true_poses: list[np.ndarray] = []
 
     def detect(self, keyframes: Keyframes, tracker: PoseTracker, geodesic_m: np.ndarray) -> Detection:
@@ -128,22 +130,14 @@ class PerfectDetector(LoopDetector):
             return Detection()
         near = int(np.argmin(np.abs(keyframes.step[:-1] - step)))
         between = relative(self._true_poses[near], pose)
-        euclidean_m = euclidean_distances(keyframes.pose[near : near + 1], tracker.pose)[0]
-        if math.hypot(between[0], between[1]) > self.config.at_keyframe:
+        if math.hypot(between[0], between[1]) > SURE_RADIUS:
             return Detection()
-        if keyframes.is_direct(geodesic_m[near], euclidean_m):
-            return Detection(visited=near)
-        std = np.array([TRUE_POSITION_STD, TRUE_POSITION_STD, TRUE_HEADING_STD])
-        loop = Match(
-            keyframe=near,
-            pose=compose(keyframes.pose[near], between),
-            relative=between,
-            information=np.diag(std**-2),
-            inlier_ratio=1.0,
-            num_inliers=len(keyframes.scan[-1]),
-            min_eigenvalue=float(len(keyframes.scan[-1])),
-        )
-        return Detection(visited=near, loop=loop, connects=near)
+        connects = self.indirect(keyframes, near, geodesic_m)
+        if connects is not None:
+            certain = len(keyframes.scan[-1])
+            loop = Registration(between, np.diag(TRUE_STD**-2), 1.0, 1.0, certain, float(certain))
+            self.tracker.close_loop(keyframes, near, loop)
+        return Detection(int(keyframes.step[near]), connects)
 
 
 class PerfectExplorer(KnnExplorer):
@@ -158,8 +152,9 @@ class PerfectExplorer(KnnExplorer):
     """
 
     def __init__(self, config: ExplorerConfig, beams: int, view: PrivilegedView, row: int) -> None:
-        super().__init__(config, beams)
-        self.detector = PerfectDetector(config, view, row)
+        super().__init__(replace(config, detector="position"), beams)  # then the map closes no loops by itself
+        assert isinstance(self.tracker, MappingTracker)
+        self.detector = PerfectDetector(config, self.tracker, view, row)
         self.view, self.row = view, row
 
     def claim(self, found: Detection) -> int | None:

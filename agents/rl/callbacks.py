@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,9 @@ from cyclic_env.atomic_write import write_text_atomically
 LOOP_MEASURES = ("cycles_closed", "cycles_total", "claims", "false_claims", "precision", "recall")
 MEASURES = (*LOOP_MEASURES, "coverage", "collisions", "is_success", "path_length_m")
 RECENT_EPISODES = 100
+FALSE_CLAIM_COST = 10.0
+"""What a false claim costs when models are compared, beyond the return. Returns that differ by less than chance can
+hide twice as many false claims, and a map bears none."""
 
 
 class Curves(BaseCallback):
@@ -70,7 +73,7 @@ class Validation(BaseCallback):
     def _on_training_start(self) -> None:
         self._last = self.num_timesteps // self._every
         self._rows = cut_back(self._path, self.num_timesteps)
-        self._best = max((float(row["return"]) for row in self._rows), default=-np.inf)
+        self._best = max((_merit(row) for row in self._rows), default=-np.inf)
 
     def _on_rollout_start(self) -> None:
         """Score the model after the update, where this is due."""
@@ -99,9 +102,14 @@ class Validation(BaseCallback):
         write_text_atomically(self._path, "\n".join(lines) + "\n")
         for name, value in means.items():
             self.logger.record(f"validation/{name}", value)
-        if means["return"] > self._best:
-            self._best = means["return"]
+        if _merit(means) > self._best:
+            self._best = _merit(means)
             self._keep(self.model)
+
+
+def _merit(scores: Mapping[str, Any]) -> float:
+    """Return by what models are compared."""
+    return float(scores["return"]) - FALSE_CLAIM_COST * float(scores["false_claims"])
 
 
 class Checkpoints(BaseCallback):

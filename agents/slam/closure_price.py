@@ -23,7 +23,7 @@ from cyclic_env.trajectory.readers import Trajectory
 
 POSITION_DRIFT, HEADING_DRIFT = 0.05, math.radians(0.7)
 """Standard deviations of the odometry, metres and radians per square root of a metre driven."""
-SPACING = 0.2
+SPACING = 1.0
 """Metres between the poses of the graph, besides those of claims."""
 STEP_MIN = 0.1
 """Metres that a step counts as, at least: turns on the spot err, too."""
@@ -33,7 +33,7 @@ MEASURED_STD = (0.1, 0.1, math.radians(1))
 """Of the relative pose of a claim that measured it."""
 THRESHOLD = 11.3
 """Squared error, in standard deviations, up to which the robust graph keeps a claim: chi-squared of 3 at 99 %."""
-PRICED_MAX = 20
+PRICED_MAX = 10
 """False claims that are priced one by one, at most, evenly chosen."""
 SOLVER = PoseGraphConfig(iterations=15)
 

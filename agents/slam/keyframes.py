@@ -175,14 +175,9 @@ class Keyframes(KeyframeTable):
     odometry : (n, 2) float64
         The position by dead reckoning alone.
     scan : (n, beams) float64
-    endpoints : (n, beams) float64
-        The ranges of the scan that are matched; see `reliable_endpoints`.
-    lines : (n, beams, 3) float64
-        The walls at these endpoints; see `fit_wall_lines`.
+        All around; 0 where it was not looked.
     features : (n, 2, sectors) float64
         Looking ahead and looking back; see `sector_features`.
-    compass : (n,) float64
-        Its reading, as a heading.
     direction, group, step : (n,) int64
     path : (n,) float64
         Metres driven since the reset.
@@ -190,10 +185,7 @@ class Keyframes(KeyframeTable):
 
     odometry: np.ndarray
     scan: np.ndarray
-    endpoints: np.ndarray
-    lines: np.ndarray
     features: np.ndarray
-    compass: np.ndarray
     direction: np.ndarray
     group: np.ndarray
     path: np.ndarray
@@ -204,10 +196,7 @@ class Keyframes(KeyframeTable):
             "pose": (3,),
             "odometry": (2,),
             "scan": (beams,),
-            "endpoints": (beams,),
-            "lines": (beams, 3),
             "features": (2, sectors),
-            "compass": (),
             "path": (),
         }
         columns = {name: np.zeros((CAPACITY, *shape)) for name, shape in shapes.items()}

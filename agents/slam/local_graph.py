@@ -14,7 +14,7 @@ OUTLIER = 12.0
 
 
 @compiled
-def optimize_window(poses, first, edges, headings, heading_information, matrix, vector):
+def optimize_window(poses, first, edges, matrix, vector):
     """Move the poses `first` and later `(n, 3)` to where they fit their edges to earlier poses best.
 
     Parameters
@@ -26,8 +26,6 @@ def optimize_window(poses, first, edges, headings, heading_information, matrix, 
     edges : tuple of (n, s) int64, (n, s, 3) and (n, s, 3, 3)
         For each pose, up to s edges to earlier ones: the other pose, or -1; this pose in the frame of the other;
         and the inverse covariance of that.
-    headings, heading_information : (n,)
-        Measured headings, and their inverse variance; 0 for none.
     matrix, vector : (3 w, 3 w) and (3 w,)
         Scratch, for at least w = n - first poses.
     """
@@ -40,12 +38,6 @@ def optimize_window(poses, first, edges, headings, heading_information, matrix, 
             for b in range(size):
                 matrix[a, b] = 0.0
         for j in range(first, n):
-            row = 3 * (j - first)
-            if heading_information[j] > 0.0:
-                error = poses[j, 2] - headings[j]
-                error -= 2 * math.pi * math.floor((error + math.pi) / (2 * math.pi))
-                matrix[row + 2, row + 2] += heading_information[j]
-                vector[row + 2] -= heading_information[j] * error
             for s in range(slots):
                 i = sources[j, s]
                 if i < 0:

@@ -14,13 +14,18 @@ from agents.slam.local_tracker import LocalTracker
 from agents.slam.panorama import signature_distances
 from agents.slam.registration import PanoramaMatcher, Registration
 from agents.slam.run_map import RunMap
-from agents.slam.scan_matching import Reference
 from agents.slam.se2 import compose, euclidean_distances, relative, wrap_angle
 
 SEARCH = np.array([(x, 0.0, math.radians(turn)) for x in (0, -1, 1, -2, 2) for turn in (0, 7, -7, 14, -14)])
 """Where a panorama is tried about a candidate: the best of these are matched."""
 SEARCH_STD = np.array([1.0, 1.0, math.radians(10)])
 HOLD_STD = np.array([0.3, 0.3, math.radians(5)])
+
+
+SIGHT_HALF_WIDTH = 0.2
+"""Metres; see `in_sight`."""
+NEAR = 0.3
+"""Metres from a pose within which all is in sight."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,8 +55,9 @@ class LoopCloserConfig(ComponentConfig):
     close_tight: float = 0.75
     hold_wide: float = 0.70
     hold_tight: float = 0.55
-    seen_min: int = 60
-    """Shares of endpoints that agree in a match that may close a loop, and in one on known ground, and their number."""
+    seen_share: float = 0.33
+    """Shares of endpoints that agree in a match that may close a loop, and in one on known ground, and how many these
+    must be, as a share of the laser's beams."""
     offset_max: float = 2.5
     """Distance between two panoramas that are matched, at most."""
     correction_max: float = 1.0
@@ -87,6 +93,20 @@ class LoopCloserConfig(ComponentConfig):
     """Metres by which known ground has moved the track before all poses are fitted anew."""
 
 
+BY_APPEARANCE: dict[str, float] = {
+    "near": 0.0,
+    "detour": 0.0,
+    "familiar": 0.0,
+    "gate_min": 1e4,
+    "gate_max": 1e4,
+    "surprise_min": 1.0,
+    "surprise_max": 1.0,
+}
+"""Changes of a `LoopCloserConfig` with which the track says nothing of where the robot may be back."""
+NEVER: dict[str, float] = {"familiar": 0.0, "candidates": 0}
+"""Changes with which no loop is closed."""
+
+
 class Candidate(NamedTuple):
     """A match that may close a loop."""
 
@@ -103,6 +123,8 @@ class LoopCloser:
     run : RunMap
     tracker : LocalTracker
     matcher : PanoramaMatcher
+    beams : int
+        Of the laser.
     config : LoopCloserConfig
 
     Attributes
@@ -111,13 +133,22 @@ class LoopCloser:
         Share of the way by which the track errs, as the loops have shown.
     closed : list of (int, int)
         The loops: keyframes, the later one first.
+    is_near : bool
+        Whether the last keyframe matches some that the robot may have come back to, so that a loop may be closed soon.
+    compared : int
+        Comparisons of two keyframes' signatures so far.
     """
 
-    def __init__(self, run: RunMap, tracker: LocalTracker, matcher: PanoramaMatcher, config: LoopCloserConfig) -> None:
+    def __init__(
+        self, run: RunMap, tracker: LocalTracker, matcher: PanoramaMatcher, beams: int, config: LoopCloserConfig
+    ) -> None:
         self.run, self.tracker, self.matcher, self.config = run, tracker, matcher, config
+        self._seen_min = config.seen_share * beams
         self.drift = config.drift
         self.closed: list[tuple[int, int]] = []
         self._pending: list[Candidate] = []
+        self.is_near = False
+        self.compared = 0
         self._failures = 0
         self._correction = np.zeros(2)
         self._limits = np.array(
@@ -130,6 +161,7 @@ class LoopCloser:
         i = run.count - 1
         euclidean_m = euclidean_distances(run.pose, run.pose[i])
         back = revisit_candidates(run, euclidean_m, config)
+        self.is_near = False
         if not len(back):
             return False
         geodesic_m = run.geodesic_distances(i).distances
@@ -147,6 +179,7 @@ class LoopCloser:
         self._pending = [p for p in self._pending if run.path[i] - run.path[p.later] < config.set_path] + found
         if found and self._agree(i, geodesic_m):
             return True
+        self.is_near = bool(found)
         relaxes = math.hypot(*self._correction) > config.relax_after
         if relaxes:
             self._correction = np.zeros(2)
@@ -154,7 +187,7 @@ class LoopCloser:
 
     def _match(self, j: int, i: int, starts: np.ndarray, std: np.ndarray) -> Registration:
         run = self.run
-        return self.matcher.match(Reference(run.panorama[j], run.lines[j]), run.panorama[i], starts, std)
+        return self.matcher.match(run.reference(j), run.panorama[i], starts, std)
 
     def _hold(self, i: int, j: int, direct: bool) -> None:
         """Tie the last keyframe to known ground, if it matches."""
@@ -163,11 +196,12 @@ class LoopCloser:
         found = self._match(j, i, expected[None], HOLD_STD)
         wide, tight = (config.hold_wide, config.hold_tight) if direct else (config.close_wide, config.close_tight)
         moved = math.hypot(*(found.pose[:2] - expected[:2]))
-        agrees = found.wide > wide and found.tight > tight and found.seen > config.seen_min
+        agrees = found.wide > wide and found.tight > tight and found.seen > self._seen_min
         if not agrees or moved >= config.correction_max:
             self._failures += 1
             return
         run.set_edge(i, -1, j, found)
+        self.tracker.odometry.learn_loop(run.heading[j], run.heading[i], found)
         run.closure[i] = run.closures - 1
         run.connect(j, i)
         before = run.pose[i, :2].copy()
@@ -180,6 +214,7 @@ class LoopCloser:
         """Return the matches of the last keyframe with the candidates that look most like it."""
         run, config = self.run, self.config
         unlike = np.empty(len(candidates))
+        self.compared += len(candidates)
         signature_distances(run.signature, run.pose[:, 2], candidates, run.signature[i], run.pose[i, 2], 2, unlike)
         picked: list[int] = []
         for q in np.argsort(unlike, kind="stable"):
@@ -194,7 +229,7 @@ class LoopCloser:
             starts = self.matcher.likely_starts(run.panorama[j], run.panorama[i], expected + SEARCH, config.starts)
             match = self._match(j, i, starts, SEARCH_STD)
             agrees = match.wide > config.close_wide and match.tight > config.close_tight
-            if agrees and match.seen > config.seen_min and math.hypot(*match.pose[:2]) < config.offset_max:
+            if agrees and match.seen > self._seen_min and math.hypot(*match.pose[:2]) < config.offset_max:
                 found.append(Candidate(i, j, match))
         return found
 
@@ -227,8 +262,9 @@ class LoopCloser:
             or span < surprise[best] * config.set_span
         ):
             return False
-        for k in members:
-            run.add_loop(pending[k].earlier, pending[k].later, pending[k].found)
+        for before, after, found in ((pending[k].earlier, pending[k].later, pending[k].found) for k in members):
+            run.add_loop(before, after, found)
+            self.tracker.odometry.learn_loop(float(run.heading[before]), float(run.heading[after]), found)
         run.closures += 1
         self.closed.append((i, int(earlier[best])))
         unexpected = moved[best] - config.drift_min
@@ -251,12 +287,18 @@ def revisit_candidates(run: RunMap, euclidean_m: np.ndarray, config: LoopCloserC
 
 
 def in_sight(panorama: np.ndarray, pose: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return which of the poses `(m, 3)` a panorama at a pose sees, `(m,)`; where it didn't look, it sees nothing."""
+    """Return which of the poses `(m, 3)` a panorama at a pose sees, `(m,)`; where it didn't look, it sees nothing.
+
+    The line of sight must be `SIGHT_HALF_WIDTH` from all walls, for the track may err by as much.
+    """
     n = len(panorama)
     offset = relative(pose, others)
     distance = np.hypot(offset[:, 0], offset[:, 1])
     beams = np.rint(np.arctan2(offset[:, 1], offset[:, 0]) * n / math.tau).astype(np.int64)
-    reach = max(1, round(n / 90))
-    around = panorama[(beams[:, None] + np.arange(-reach, reach + 1)) % n]
-    nearest = np.where(around > 0, around, np.inf).min(axis=1)
-    return (distance < 0.3) | (np.isfinite(nearest) & (nearest > distance + 0.1))
+    aside = np.arcsin(SIGHT_HALF_WIDTH / np.maximum(distance, NEAR)) * n / math.tau
+    reach = max(1, round(n / 90), math.ceil(aside.max(initial=0.0)))
+    steps = np.arange(-reach, reach + 1)
+    around = panorama[(beams[:, None] + steps) % n]
+    asked = np.abs(steps) <= np.maximum(max(1, round(n / 90)), aside[:, None])
+    nearest = np.where((around > 0) & asked, around, np.inf).min(axis=1)
+    return (distance < NEAR) | (np.isfinite(nearest) & (nearest > distance + 0.1))

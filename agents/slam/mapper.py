@@ -1,4 +1,4 @@
-"""A map from any laser and wheels whose heading may drift, and the places that the robot is back at, whoever drives."""
+"""A map from any laser, distance meter and heading, and the places that the robot is back at, whoever drives."""
 
 from __future__ import annotations
 
@@ -10,13 +10,14 @@ import numpy as np
 from agents.component_config import ComponentConfig
 from agents.slam.local_tracker import LocalTracker, LocalTrackerConfig
 from agents.slam.loop_closer import LoopCloser, LoopCloserConfig, in_sight
-from agents.slam.panorama import keep_steady, merge_scans, panorama_beams, signature, spread_beams
+from agents.slam.odometry import OdometryConfig, OdometryModel
+from agents.slam.panorama import keep_steady, merge_scans, panorama_beams, panorama_offset, signature, spread_beams
 from agents.slam.pose_graph import PoseGraphConfig
-from agents.slam.registration import PanoramaMatcher
+from agents.slam.registration import PanoramaMatcher, Registration
 from agents.slam.run_map import RunMap
 from agents.slam.scan_filters import despeckle
 from agents.slam.scan_matching import MatcherConfig
-from agents.slam.se2 import compose, euclidean_distances, wrap_angle
+from agents.slam.se2 import euclidean_distances, wrap_angle
 from cyclic_env.config import LaserConfig
 
 
@@ -28,14 +29,15 @@ class KeyframingConfig(ComponentConfig):
     """Metres beyond which nothing counts, whatever the laser's reach."""
     spacing: float = 0.4
     turn: float = math.radians(12)
-    """Way and turn between keyframes."""
+    """Way and turn between keyframes of a laser that sees less than a full turn."""
+    spacing_all_around: float = 1.0
+    turn_all_around: float = math.radians(120)
+    """The same where it sees all around, and shows what the one before has shown, as long as no loop may be closed."""
     steady: float = 0.3
     """By how much a range may differ from the median about it."""
     panorama_path: float = 12.0
     panorama_keyframes: int = 36
     """The scans that a panorama is made of: over that way, and at most so many."""
-    compass_std: float = 0.0
-    """Standard deviation of a compass's heading; 0 for a heading that drifts and tells only its changes."""
     claim_distance: float = 2.5
     """Distance of a place at which the robot is back there: half a metre less than counts."""
     closure_fit: float = 60.0
@@ -47,6 +49,7 @@ class MapperConfig:
     """The settings of a mapper's components."""
 
     keyframing: KeyframingConfig = field(default_factory=KeyframingConfig)
+    odometry: OdometryConfig = field(default_factory=OdometryConfig)
     tracker: LocalTrackerConfig = field(default_factory=LocalTrackerConfig)
     loops: LoopCloserConfig = field(default_factory=LoopCloserConfig)
     matcher: MatcherConfig = field(default_factory=MatcherConfig)
@@ -65,32 +68,37 @@ class Mapper:
     ----------
     run : RunMap
     loops : LoopCloser
+    odometry : OdometryModel
     pose : (3,) float64
-        Of the robot now, in the frame of its start.
+        Of the robot now, its heading that of a panorama's beam 0. The first keyframe is at the origin.
     path : float
         Metres driven.
+    step : int
+        The number of the step at hand; -1 before the first.
     """
 
     def __init__(self, laser: LaserConfig, config: MapperConfig | None = None) -> None:
         self.config = config or MapperConfig()
         self.laser = laser
         self._beams, self._count = panorama_beams(laser)
-        self.range_max = min(laser.range_max, self.config.keyframing.range_max)
+        self._offset = panorama_offset(laser)
+        keyframing = self.config.keyframing
+        self.range_max = min(laser.range_max, keyframing.range_max)
+        around = laser.sees_all_around
+        self._spacing = keyframing.spacing_all_around if around else keyframing.spacing
+        self._turn = keyframing.turn_all_around if around else keyframing.turn
         matcher = PanoramaMatcher(self.range_max, self.config.matcher)
         self.run = RunMap(self._count, self.config.tracker.matched + 2)
-        self.tracker = LocalTracker(self.run, matcher, self.config.tracker)
-        self.loops = LoopCloser(self.run, self.tracker, matcher, self.config.loops)
+        self.odometry = OdometryModel(self.config.odometry)
+        self.tracker = LocalTracker(self.run, matcher, self.odometry, laser, self.config.tracker)
+        self.loops = LoopCloser(self.run, self.tracker, matcher, laser.num_beams, self.config.loops)
         self.matcher = matcher
+        self.pose = np.zeros(3)
         self.path = 0.0
         self.step = -1
-        self._odometry = np.zeros(3)  # of the robot in the frame of the last keyframe
-        self._last: tuple[float, float] | None = None
+        self._moved = np.zeros(3)  # the robot in the frame of the last keyframe
+        self._last = (math.nan, 0.0)  # readings of the distance meter and the heading
         self._nearest = np.zeros((3, self._count))
-
-    @property
-    def pose(self) -> np.ndarray:
-        """The pose of the robot now, in the frame of its start, `(3,)`."""
-        return compose(self.run.pose[-1], self._odometry) if self.run.count else self._odometry.copy()
 
     def observe(self, ranges: np.ndarray, distance: float, heading: float) -> int | None:
         """Take the readings of a step; return the earlier step at whose place the robot is back, if there is one.
@@ -104,53 +112,80 @@ class Mapper:
         heading : float
             Radians: a compass's, or the odometry's.
         """
-        config, run = self.config.keyframing, self.run
+        self.advance(distance, heading)
+        if self.is_due:
+            self.add_keyframe(ranges)
+        back = self.back_at()
+        return None if back is None else int(self.run.step[back])
+
+    def advance(self, distance: float, heading: float) -> None:
+        """Take the readings of the distance meter and the heading at a step."""
         self.step += 1
-        before = (distance, heading) if self._last is None else self._last
-        driven, turn = distance - before[0], wrap_angle(heading - before[1])
+        if self.step == 0:
+            self._last = (distance, heading)
+            self.pose[2] = heading + self._offset
+            return
+        driven = self.odometry.scale * (distance - self._last[0])
+        turn = float(wrap_angle(heading - self._last[1]))
         self._last = (distance, heading)
         self.path += abs(driven)
-        chord = driven * np.array([math.cos(0.5 * turn), math.sin(0.5 * turn)])
-        self._odometry = compose(self._odometry, np.array([*chord, turn]))
-        moved = math.hypot(self._odometry[0], self._odometry[1])
-        if not run.count or moved >= config.spacing or abs(self._odometry[2]) >= config.turn:
-            self._add_keyframe(ranges, heading)
-        return self._back_at() if run.known[-1] else None
+        # An arc's chord points midway between the headings at its ends.
+        for pose in (self._moved, self.pose):
+            chord = pose[2] - self._offset + 0.5 * turn
+            pose[0] += driven * math.cos(chord)
+            pose[1] += driven * math.sin(chord)
+            pose[2] = math.remainder(pose[2] + turn, math.tau)
 
-    def _add_keyframe(self, ranges: np.ndarray, heading: float) -> None:
+    @property
+    def is_due(self) -> bool:
+        """Whether the robot has gone or turned far enough for a keyframe."""
+        if not self.run.count:
+            return True
+        spacing = self.config.keyframing.spacing if self.loops.is_near else self._spacing
+        return math.hypot(self._moved[0], self._moved[1]) >= spacing or abs(self._moved[2]) >= self._turn
+
+    @property
+    def has_keyframe(self) -> bool:
+        """Whether the last keyframe was taken at this step."""
+        return self.run.count > 0 and self.run.step[-1] == self.step
+
+    def add_keyframe(self, ranges: np.ndarray) -> None:
+        """Take a keyframe where the robot is, and correct all poses by what it shows."""
         config, run = self.config.keyframing, self.run
         raw, smooth, scan = spread_beams(ranges, self._beams, self._count), *np.empty((2, self._count))
         despeckle(np.where(raw > 0, np.minimum(raw, self.range_max), self.range_max), smooth)
         keep_steady(raw, smooth, self.range_max, config.steady, scan)
-        absolute = config.compass_std > 0
-        i = run.add(
-            scan=scan,
-            step=self.step,
-            path=self.path,
-            heading=heading,
-            heading_information=config.compass_std**-2 if absolute else 0.0,
-            pose=(0.0, 0.0, heading if absolute else 0.0),
-        )
-        odometry, self._odometry = self._odometry, np.zeros(3)
-        self.tracker.track(odometry)
+        i = run.add(scan=scan, step=self.step, path=self.path, pose=self.pose, heading=self._last[1])
+        moved, self._moved = self._moved, np.zeros(3)
+        self.tracker.track(moved)
         if self.laser.sees_all_around:
-            run.panorama[i] = scan
+            (run.panorama[i], run.points[i], run.lines[i]) = self.tracker.scans[-1]
         else:
             first = int(np.searchsorted(run.path, self.path - config.panorama_path))
             first = max(first, i - config.panorama_keyframes)
             merge_scans(run.scan, run.pose, first, i, run.pose[i], self.range_max, self._nearest, run.panorama[i])
-        run.lines[i] = self.matcher.wall_lines(run.panorama[i])
+            _, run.points[i], run.lines[i] = self.matcher.reference(run.panorama[i])
         signature(run.panorama[i], run.signature[i])
         if self.loops.update():
             self.optimize()
+        self.pose = run.pose[i].copy()
+
+    def close_loop(self, earlier: int, found: Registration) -> None:
+        """Take it that the last keyframe lies in an earlier one's frame as something else has found."""
+        self.run.add_loop(earlier, self.run.count - 1, found)
+        self.run.closures += 1
+        self.optimize()
+        self.pose = self.run.pose[-1].copy()
 
     def optimize(self) -> None:
         """Fit the poses of all keyframes to all that has been measured."""
-        self.run.optimize(self.config.keyframing.closure_fit, self.config.pose_graph)
+        self.run.optimize(self.odometry.heading_information, self.config.keyframing.closure_fit, self.config.pose_graph)
 
-    def _back_at(self) -> int | None:
-        """Return the step of the nearest place in sight that counts as left."""
+    def back_at(self) -> int | None:
+        """Return the nearest keyframe in sight that counts as left, if the robot is on known ground."""
         run, loops, pose = self.run, self.config.loops, self.pose
+        if not run.known[-1]:
+            return None
         distance = euclidean_distances(run.pose, pose)
         farthest_since = np.maximum.accumulate(distance[::-1])[::-1]
         left = (self.path - run.path >= loops.gap) & (farthest_since >= loops.leave)
@@ -158,5 +193,5 @@ class Mapper:
         back = back[in_sight(run.panorama[-1], run.pose[-1], run.pose[back])]
         for j in back[np.argsort(distance[back], kind="stable")].tolist():
             if in_sight(run.panorama[j], run.pose[j], pose[None])[0]:
-                return int(run.step[j])
+                return j
         return None

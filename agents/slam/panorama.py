@@ -46,10 +46,17 @@ def spread_beams(ranges: np.ndarray, beams: np.ndarray, count: int) -> np.ndarra
 
 def panorama_beams(laser: LaserConfig) -> tuple[np.ndarray, int]:
     """Return which beam of a panorama each beam of a laser is `(num_beams,)`, and how many beams the panorama has."""
-    spacing = laser.beam_spacing
-    count = round(math.tau / spacing)
-    beams = np.floor(laser.first_bearing / spacing + np.arange(laser.num_beams) + 0.5).astype(np.int64) % count
-    return beams, count
+    count = round(math.tau / laser.beam_spacing)
+    return (_first_beam(laser) + np.arange(laser.num_beams)) % count, count
+
+
+def panorama_offset(laser: LaserConfig) -> float:
+    """Return the bearing of a panorama's beam 0, radians: at most half a beam from straight ahead."""
+    return laser.first_bearing - _first_beam(laser) * laser.beam_spacing
+
+
+def _first_beam(laser: LaserConfig) -> int:
+    return math.floor(laser.first_bearing / laser.beam_spacing + 0.5)
 
 
 @compiled

@@ -13,7 +13,7 @@ import numpy as np
 from agents.component_config import pack
 from agents.slam.scan_filters import SHORT_OF_REACH
 from agents.slam.scan_matching import Estimate, MatcherConfig, MatcherValues, Prior, Reference, align, min_eigenvalue
-from agents.slam.wall_lines import fit_wall_lines
+from agents.slam.wall_lines import fit_wall_lines, measure_gaps, place_endpoints
 from cyclic_env.jit import compiled
 
 WIDE, TIGHT = 0.25, 0.10
@@ -171,11 +171,13 @@ class PanoramaMatcher:
         """Return the ranges `(n,)` that end on a wall, and `range_max` where none does."""
         return np.where((panorama > 0) & (panorama < self.range_max - SHORT_OF_REACH), panorama, self.range_max)
 
-    def wall_lines(self, panorama: np.ndarray) -> np.ndarray:
-        """Return the wall lines `(n, 3)` at the endpoints; see `fit_wall_lines`."""
-        lines = np.empty((len(panorama), 3))
-        fit_wall_lines(self.endpoints(panorama), self.range_max, lines, self._values)
-        return lines
+    def reference(self, panorama: np.ndarray) -> Reference:
+        """Return a panorama as others are matched with it."""
+        endpoints, (points, lines) = self.endpoints(panorama), np.empty((2, len(panorama), 3))
+        place_endpoints(endpoints, points)
+        fit_wall_lines(endpoints, self.range_max, points, lines, self._values)
+        measure_gaps(endpoints, lines, points, self._values)
+        return Reference(panorama, points, lines)
 
     def match(self, reference: Reference, panorama: np.ndarray, starts: np.ndarray, std: np.ndarray) -> Registration:
         """Match a panorama with a reference from several starts; see `register_from`."""

@@ -11,6 +11,7 @@ from agents.slam.panorama import SIGNATURE_SECTORS
 from agents.slam.pose_graph import PoseGraphConfig
 from agents.slam.registration import Registration
 from agents.slam.robust_graph import optimize_robustly
+from agents.slam.scan_matching import Reference
 
 NEIGHBORS = 16
 """Keyframes that one can be connected to at most; more would add no new ways."""
@@ -44,15 +45,15 @@ class RunMap(KeyframeTable):
     pose : (n, 3) float64
     scan, panorama : (n, beams) float64
         0 where not looked at.
-    lines : (n, beams, 3) float64
-        The panorama's wall lines.
+    points, lines : (n, beams, 3) float64
+        The panorama's endpoints and wall lines; see `Reference`.
     signature : (n, SIGNATURE_SECTORS) float64
     path : (n,) float64
         Metres driven.
     step : (n,) int64
         At which the keyframe was taken.
-    heading, heading_information : (n,) float64
-        What the compass read, and its inverse variance; 0 where only changes of the heading are known.
+    heading : (n,) float64
+        What the compass read.
     known : (n,) bool
         Whether it lies on known ground, and is tied to it.
     sources, measured, information : (n, slots), (n, slots, 3) and (n, slots, 3, 3)
@@ -63,11 +64,11 @@ class RunMap(KeyframeTable):
 
     scan: np.ndarray
     panorama: np.ndarray
+    points: np.ndarray
     lines: np.ndarray
     signature: np.ndarray
     path: np.ndarray
     heading: np.ndarray
-    heading_information: np.ndarray
     known: np.ndarray
     sources: np.ndarray
     measured: np.ndarray
@@ -81,12 +82,12 @@ class RunMap(KeyframeTable):
             "pose": (np.float64, (3,)),
             "scan": (np.float64, (beams,)),
             "panorama": (np.float64, (beams,)),
+            "points": (np.float64, (beams, 3)),
             "lines": (np.float64, (beams, 3)),
             "signature": (np.float64, (SIGNATURE_SECTORS,)),
             "path": (np.float64, ()),
             "step": (np.int64, ()),
             "heading": (np.float64, ()),
-            "heading_information": (np.float64, ()),
             "known": (np.bool_, ()),
             "sources": (np.int64, (slots,)),
             "measured": (np.float64, (slots, 3)),
@@ -102,6 +103,10 @@ class RunMap(KeyframeTable):
         self.sources[-1] = self.closure[-1] = -1
         return number
 
+    def reference(self, i: int) -> Reference:
+        """Return keyframe i's panorama as others are matched with it."""
+        return Reference(self.panorama[i], self.points[i], self.lines[i])
+
     def set_edge(self, i: int, slot: int, source: int, found: Registration) -> None:
         """Tie keyframe i to an earlier one as a match has it."""
         self.sources[i, slot], self.measured[i, slot] = source, found.pose
@@ -112,8 +117,24 @@ class RunMap(KeyframeTable):
         self.loops.append(LoopEdge(earlier, later, found.pose, with_floor(found.information), self.closures))
         self.connect(earlier, later)
 
-    def optimize(self, threshold: float, config: PoseGraphConfig) -> None:
-        """Fit all poses to all edges; those of a closure that doesn't fit the others are left out."""
+    def optimize(self, heading_information: float, threshold: float, config: PoseGraphConfig) -> None:
+        """Fit all poses to all edges and, with that inverse variance, to the compass.
+
+        The edges of a closure that doesn't fit the others are left out.
+        """
+        edges, measured, information, doubtful = self.edges()
+        # The first pose has the heading that the compass read there, with its error: the others tell that.
+        error = np.exp(1j * (self.heading - self.pose[:, 2])).mean()
+        headings, weights = self.heading - np.angle(error), np.full(self.count, heading_information)
+        self.pose[:], _ = optimize_robustly(
+            self.pose, edges, measured, information, doubtful, headings, weights, threshold, config
+        )
+
+    def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the edges `(m, 2)`, what was measured `(m, 3)`, its information `(m, 3, 3)`, and the closures `(m,)`.
+
+        These number the loop closures that an edge rests on; -1 for none.
+        """
         rows, slots = np.nonzero(self.sources >= 0)
         edges = np.column_stack([self.sources[rows, slots], rows])
         measured, information = self.measured[rows, slots], self.information[rows, slots]
@@ -123,9 +144,7 @@ class RunMap(KeyframeTable):
             measured = np.concatenate([measured, [loop.measured for loop in self.loops]])
             information = np.concatenate([information, [loop.information for loop in self.loops]])
             doubtful = np.concatenate([doubtful, [loop.closure for loop in self.loops]])
-        self.pose[:], _ = optimize_robustly(
-            self.pose, edges, measured, information, doubtful, self.heading, self.heading_information, threshold, config
-        )
+        return edges, measured, information, doubtful
 
 
 def with_floor(information: np.ndarray) -> np.ndarray:

@@ -7,11 +7,12 @@ A scan is `(beams,)` ranges in metres, beam 0 straight ahead, counter-clockwise,
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from agents.component_config import ComponentConfig
+from cyclic_env.config import LaserConfig
 from cyclic_env.jit import compiled
 
 SHORT_OF_REACH = 0.05
@@ -32,6 +33,38 @@ class FilterConfig(ComponentConfig):
     shift_noise: float = 2.5
     """Where noise makes it move all endpoints: how many times as far as `shift_quantile` of them."""
     shift_quantile: float = 0.75
+
+
+BEAMS = 180
+"""Beams in which a scan is read, at most: what is known of filters, matches and openings is known of so many."""
+
+
+class LaserReader:
+    """Reads a laser of any number of beams: each of `BEAMS` or fewer is the median of those about it.
+
+    Parameters
+    ----------
+    laser : LaserConfig
+
+    Attributes
+    ----------
+    laser : LaserConfig
+        As it is read.
+    """
+
+    def __init__(self, laser: LaserConfig) -> None:
+        beams = min(laser.num_beams, BEAMS)
+        self.laser = replace(laser, num_beams=beams)
+        reach = laser.num_beams // beams // 2
+        spacing = laser.num_beams / beams if laser.sees_all_around else (laser.num_beams - 1) / (beams - 1)
+        about = np.rint(spacing * np.arange(beams)).astype(np.int64)[:, None] + np.arange(-reach, reach + 1)
+        self._about = about % laser.num_beams if laser.sees_all_around else np.clip(about, 0, laser.num_beams - 1)
+
+    def read(self, ranges: np.ndarray) -> np.ndarray:
+        """Return the ranges `(beams,)`, between 0 and the laser's reach, of a scan `(num_beams,)`."""
+        ranges = np.fmax(np.fmin(ranges, self.laser.range_max), 0.0)  # of a NaN and a number, the number
+        middle = self._about.shape[1] // 2
+        return np.sort(ranges[self._about], axis=1)[:, middle] if middle else ranges
 
 
 @compiled

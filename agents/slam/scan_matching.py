@@ -27,11 +27,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agents.component_config import ComponentConfig, kernel_tuple, pack
-from agents.slam.keyframes import Keyframes
+from agents.component_config import ComponentConfig, kernel_tuple
 from agents.slam.scan_filters import SHORT_OF_REACH
-from agents.slam.se2 import compose, relative
-from agents.slam.wall_lines import fit_wall_lines
 from cyclic_env.jit import compiled
 
 
@@ -78,10 +75,14 @@ MatcherValues = kernel_tuple("MatcherValues", MatcherConfig, __name__)
 
 
 class Reference(NamedTuple):
-    """A scan that others are matched with: its ranges `(beams,)`, and its lines `(beams, 3)` from `fit_wall_lines`."""
+    """A scan that others are matched with."""
 
     ranges: np.ndarray
+    """`(beams,)`, metres."""
+    points: np.ndarray
+    """`(beams, 3)`: its endpoints, and how far the wall goes on there; see `place_endpoints` and `measure_gaps`."""
     lines: np.ndarray
+    """`(beams, 3)`: the walls, as from `fit_wall_lines`."""
 
 
 class Prior(NamedTuple):
@@ -105,24 +106,24 @@ def associate(reference, pose, x, y, gate, values):
 
     The distance counts the way along the wall, too; it is `gate` if there is no wall within that.
     """
-    ranges, lines = reference.ranges, reference.lines
-    n = ranges.shape[0]
+    points, lines = reference.points, reference.lines
+    n = points.shape[0]
     spacing = 2 * math.pi / n
     center = round(math.atan2(y, x) / spacing)
     nearest, error, nx, ny = gate, 0.0, 0.0, 0.0
-    for i in range(center - values.search_beams, center + values.search_beams + 1):
-        j = i % n
+    following = (center - values.search_beams) % n
+    for _ in range(2 * values.search_beams + 1):
+        j = following
+        following = j + 1 if j + 1 < n else 0
         # The scan must be on the side of the wall that the reference has seen: walls have two faces.
         side = pose[0] * lines[j, 0] + pose[1] * lines[j, 1] - lines[j, 2]
         if side * lines[j, 2] >= 0.0:  # also where there is no line
             continue
-        dx = x - ranges[j] * math.cos(j * spacing)
-        dy = y - ranges[j] * math.sin(j * spacing)
         off = x * lines[j, 0] + y * lines[j, 1] - lines[j, 2]
-        along = abs(dx * lines[j, 1] - dy * lines[j, 0])
-        # Endpoints on a wall seen at a slant lie far apart, and the wall goes on between them.
-        incidence = abs(math.cos(j * spacing) * lines[j, 0] + math.sin(j * spacing) * lines[j, 1])
-        along = max(0.0, along - values.gap_share * ranges[j] * spacing / max(incidence, values.incidence_min))
+        if abs(off) >= nearest:
+            continue
+        dx, dy = x - points[j, 0], y - points[j, 1]
+        along = max(0.0, abs(dx * lines[j, 1] - dy * lines[j, 0]) - points[j, 2])
         distance = abs(off) + along
         if distance < nearest:
             nearest, error, nx, ny = distance, off, lines[j, 0], lines[j, 1]
@@ -284,85 +285,3 @@ def min_eigenvalue(information: np.ndarray) -> float:
     """Return the least eigenvalue of a symmetric matrix's upper left `(2, 2)`, that of the position."""
     a, b, c = information[0, 0], information[0, 1], information[1, 1]
     return 0.5 * (a + c) - math.sqrt(0.25 * (a - c) ** 2 + b * b)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Match:
-    """A scan matched with that of a keyframe."""
-
-    keyframe: int
-    pose: np.ndarray
-    """Of the scan, in the frame of the track, `(3,)`."""
-    relative: np.ndarray
-    """The same in the frame of the keyframe, `(3,)`."""
-    information: np.ndarray
-    """Inverse covariance of `relative`, `(3, 3)`."""
-    inlier_ratio: float
-    """Share of the endpoints that agree among those that can be judged: the less of both ways round."""
-    num_inliers: int
-    """Endpoints that agree: the fewer of both ways round."""
-    min_eigenvalue: float
-    """Of the information about the position, in endpoints: how many, at least, tell it in any direction. They are few
-    along a plain corridor."""
-
-
-class ScanMatcher:
-    """Matches scans with those of keyframes.
-
-    Parameters
-    ----------
-    range_max : float
-        Reach of the laser, metres.
-    config : MatcherConfig, optional
-    """
-
-    def __init__(self, range_max: float, config: MatcherConfig | None = None) -> None:
-        self.range_max = range_max
-        self.config = config or MatcherConfig()
-        self._values = pack(MatcherValues, self.config)
-
-    def wall_lines(self, endpoints: np.ndarray) -> np.ndarray:
-        """Return the wall lines `(beams, 3)` at the endpoints of a scan; see `fit_wall_lines`."""
-        lines = np.empty((len(endpoints), 3))
-        fit_wall_lines(endpoints, self.range_max, lines, self._values)
-        return lines
-
-    def match(
-        self,
-        keyframes: Keyframes,
-        keyframe: int,
-        scan: np.ndarray,
-        endpoints: np.ndarray,
-        expected: np.ndarray,
-        std: np.ndarray,
-    ) -> Match:
-        """Match a scan with a keyframe's.
-
-        Parameters
-        ----------
-        keyframes : Keyframes
-        keyframe : int
-        scan, endpoints : (beams,)
-            The scan, and its `reliable_endpoints`.
-        expected, std : (3,)
-            Where it is expected to have been taken, in the frame of the track, and the standard deviations of that.
-        """
-        prior = Prior(relative(keyframes.pose[keyframe], expected), std)
-        found = Estimate(np.empty(3), np.empty((3, 3)), np.empty(3))
-        reference = Reference(keyframes.scan[keyframe], keyframes.lines[keyframe])
-        align(reference, endpoints, self.range_max, prior, found, self._values)
-        back = relative(found.pose, np.zeros(3))
-        tolerance = self.config.tolerance
-        ratio, inliers = compare_endpoints(reference.ranges, scan, self.range_max, found.pose, tolerance)
-        ratio_back, inliers_back = compare_endpoints(scan, reference.ranges, self.range_max, back, tolerance)
-        variance = self.config.endpoint_std**2
-        information = found.hessian / variance
-        return Match(
-            keyframe=int(keyframe),
-            pose=compose(keyframes.pose[keyframe], found.pose),
-            relative=found.pose,
-            information=information,
-            inlier_ratio=min(ratio, ratio_back),
-            num_inliers=min(inliers, inliers_back),
-            min_eigenvalue=variance * min_eigenvalue(information),
-        )

@@ -9,11 +9,43 @@ from cyclic_env.jit import compiled
 
 
 @compiled
-def fit_wall_lines(ranges, range_max, lines, values):
+def place_endpoints(ranges, points):
+    """Write the endpoints of ranges `(beams,)` into the first two columns of `points` `(beams, 3)`, metres."""
+    spacing = 2 * math.pi / ranges.shape[0]
+    for k in range(ranges.shape[0]):
+        points[k, 0] = ranges[k] * math.cos(k * spacing)
+        points[k, 1] = ranges[k] * math.sin(k * spacing)
+
+
+@compiled
+def measure_gaps(ranges, lines, points, values):
+    """Write into the third column of `points` `(beams, 3)` how far the wall at each endpoint goes on beside it, metres.
+
+    Endpoints on a wall seen at a slant lie far apart, and the wall goes on between them.
+    """
+    spacing = 2 * math.pi / ranges.shape[0]
+    for k in range(ranges.shape[0]):
+        incidence = abs(math.cos(k * spacing) * lines[k, 0] + math.sin(k * spacing) * lines[k, 1])
+        points[k, 2] = values.gap_share * ranges[k] * spacing / max(incidence, values.incidence_min)
+
+
+@compiled
+def _endpoint(ranges, points, i):
+    """Return the endpoint of beam i, whose number may go on beyond a full turn."""
+    n = ranges.shape[0]
+    if 0 <= i < n:
+        return points[i, 0], points[i, 1]
+    angle = i * (2 * math.pi / n)
+    return ranges[i % n] * math.cos(angle), ranges[i % n] * math.sin(angle)
+
+
+@compiled
+def fit_wall_lines(ranges, range_max, points, lines, values):
     """Write into `lines` `(beams, 3)` the walls at the endpoints: unit normal and offset, in the frame of the scan.
 
     A point (x, y) is on a wall (nx, ny, offset) where nx x + ny y = offset. A line is fitted to each endpoint and as
     many of its neighbors on both sides as are in line with it; (0, 0, 0) where these are too few, or met no wall.
+    `points` are the endpoints, as from `place_endpoints`.
     """
     n = ranges.shape[0]
     spacing = 2 * math.pi / n
@@ -24,10 +56,10 @@ def fit_wall_lines(ranges, range_max, lines, values):
             mx = my = 0.0
             wall = True
             for i in range(k - reach, k + reach + 1):
-                r = ranges[i % n]
-                wall = wall and r < range_max - SHORT_OF_REACH
-                mx += r * math.cos(i * spacing) / count
-                my += r * math.sin(i * spacing) / count
+                wall = wall and ranges[i % n] < range_max - SHORT_OF_REACH
+                x, y = _endpoint(ranges, points, i)
+                mx += x / count
+                my += y / count
             if not wall:
                 break
             a, b = ranges[(k - reach) % n], ranges[(k + reach) % n]
@@ -36,8 +68,8 @@ def fit_wall_lines(ranges, range_max, lines, values):
                 continue
             xx = xy = yy = 0.0
             for i in range(k - reach, k + reach + 1):
-                dx = ranges[i % n] * math.cos(i * spacing) - mx
-                dy = ranges[i % n] * math.sin(i * spacing) - my
+                x, y = _endpoint(ranges, points, i)
+                dx, dy = x - mx, y - my
                 xx += dx * dx
                 xy += dx * dy
                 yy += dy * dy

@@ -14,6 +14,7 @@ mpl.use("Agg")
 
 from matplotlib import pyplot as plt
 
+from agents import agent_label
 from cyclic_env.atomic_write import atomic_write
 from cyclic_env.evaluation.statistics import performance_profile, wilson_interval
 from cyclic_env.floor_plans.generator.names import building_spec
@@ -47,9 +48,10 @@ def _panels(frame: Runs, height: float = 3.0) -> tuple[Any, list[tuple[str, Any]
     return figure, list(zip(tiers, axes[0], strict=True))
 
 
-def _style(index: int) -> dict[str, Any]:
-    """Return a colour and a dash, so that no agent is told by its colour alone."""
-    return {"color": f"C{index % 10}", "linestyle": STYLES[index % len(STYLES)], "linewidth": 1.6}
+def _style(index: int, agent: str) -> dict[str, Any]:
+    """Return a label, a colour and a dash, so that no agent is told by its colour alone."""
+    dash = STYLES[index % len(STYLES)]
+    return {"label": agent_label(agent), "color": f"C{index % 10}", "linestyle": dash, "linewidth": 1.6}
 
 
 def draw_profiles(frame: Runs, agents: Sequence[str]) -> Any:
@@ -59,9 +61,7 @@ def draw_profiles(frame: Runs, agents: Sequence[str]) -> Any:
         for index, agent in enumerate(agents):
             runs = frame[(frame["tier"] == tier) & (frame["agent"] == agent)]
             if len(runs):
-                axes.plot(
-                    RETURNS, performance_profile(runs["return"].to_numpy(), RETURNS), label=agent, **_style(index)
-                )
+                axes.plot(RETURNS, performance_profile(runs["return"].to_numpy(), RETURNS), **_style(index, agent))
         axes.set(title=tier, xlabel="return of at least", ylim=(-0.02, 1.02), xlim=(RETURNS[0], RETURNS[-1]))
     panels[0][1].set_ylabel("share of runs")
     panels[-1][1].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
@@ -76,7 +76,7 @@ def draw_coverage(frame: Runs, agents: Sequence[str]) -> Any:
             runs = frame[(frame["tier"] == tier) & (frame["agent"] == agent)]
             if len(runs):
                 curves = np.array([text.split() for text in runs["coverage_curve"]], float) / 1000
-                axes.plot(CURVE_TOURS, curves.mean(axis=0), label=agent, **_style(index))
+                axes.plot(CURVE_TOURS, curves.mean(axis=0), **_style(index, agent))
         axes.set(title=tier, xlabel="path, in closed tours", ylim=(0, 1.02), xlim=(0, 2))
         axes.axhline(0.99, color="0.7", linewidth=0.8, zorder=0)
     panels[0][1].set_ylabel("coverage, mean of runs")
@@ -118,9 +118,9 @@ def draw_difficulty(frame: Runs, agents: Sequence[str]) -> Any:
             values[tiers.index(tier), index] = share
             text = f"{share:.2f}\n[{low:.2f}, {high:.2f}]\nn={count}"
             color = "white" if share < 0.5 else "black"
-            panel.text(index, tiers.index(tier), text, ha="center", va="center", fontsize=5.5, color=color)
+            panel.text(index, tiers.index(tier), text, ha="center", va="center", fontsize=6.5, color=color)
         panel.imshow(values, vmin=0, vmax=1, cmap="viridis", aspect="auto")
-        panel.set(title=agent, xticks=range(len(labels)), yticks=range(len(tiers)))
+        panel.set(title=agent_label(agent), xticks=range(len(labels)), yticks=range(len(tiers)))
         panel.set_xticklabels(labels, fontsize=7)
         panel.set_yticklabels(tiers, fontsize=7)
         panel.spines[:].set_visible(False)

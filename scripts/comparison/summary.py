@@ -85,6 +85,7 @@ def differences(frame: Runs, agents: Sequence[str], reference: str = REFERENCE) 
     """Return how each agent compares with the reference, over pairs of runs with the same map, seed and start.
 
     Differences are averaged over the runs on a map first, since these are not independent; the interval is over maps.
+    The probability of improvement is that on each map, averaged.
     """
     base = frame[frame["agent"] == reference]
     rows = []
@@ -95,14 +96,17 @@ def differences(frame: Runs, agents: Sequence[str], reference: str = REFERENCE) 
             continue
         by_map = pairs.groupby("map")[["return", "return_base"]].mean()
         mean, low, high = paired_difference(by_map["return"].to_numpy(), by_map["return_base"].to_numpy())
-        better = probability_of_improvement(pairs["return"].to_numpy(), pairs["return_base"].to_numpy())
+        better = [
+            probability_of_improvement(part["return"].to_numpy(), part["return_base"].to_numpy())
+            for _, part in pairs.groupby("map")
+        ]
         gain = f"return minus that of {reference}"
         rows.append(
             {
                 "agent": agent,
                 "pairs": str(len(pairs)),
                 gain: _interval(mean, (low, high), 1),
-                "probability of improvement": _number(better, 2),
+                "probability of improvement": _number(float(np.mean(better)), 2),
             }
         )
     return pd.DataFrame(rows)

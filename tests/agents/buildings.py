@@ -8,14 +8,14 @@ import numpy as np
 import shapely
 
 from agents.slam.keyframes import Keyframes
-from agents.slam.scan_matching import ScanMatcher
+from agents.slam.registration import PanoramaMatcher
 from cyclic_env.config import LaserConfig
 from cyclic_env.floor_plans import FloorPlan
 from cyclic_env.simulation.lidar import scan
 
 BEAMS, REACH = 180, 12.0
 SPACING = math.tau / BEAMS
-MATCHER = ScanMatcher(REACH)
+MATCHER = PanoramaMatcher(REACH)
 
 
 def plan_of(*boxes: tuple[float, float, float, float]) -> FloorPlan:
@@ -42,6 +42,5 @@ def keyframes_at(plan: FloorPlan, poses: list[tuple[float, float, float]]) -> Ke
         if step:
             path += math.hypot(pose[0] - poses[step - 1][0], pose[1] - poses[step - 1][1])
         ranges = seen(plan, *pose)
-        lines = MATCHER.wall_lines(ranges)
-        keyframes.add(pose=pose, odometry=pose[:2], scan=ranges, endpoints=ranges, lines=lines, step=step, path=path)
+        keyframes.add(pose=pose, odometry=pose[:2], scan=ranges, step=step, path=path)
     return keyframes

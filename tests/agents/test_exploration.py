@@ -93,7 +93,7 @@ def test_a_side_corridor_is_listed_when_it_is_left_behind_and_resolved_when_seen
     everything = keyframes_at(CROSSING, there + back + into)
     states: list[dict[int, str]] = []
     for row in range(everything.count):
-        keyframe = {name: getattr(everything, name)[row] for name in ("pose", "scan", "lines", "step", "path")}
+        keyframe = {name: getattr(everything, name)[row] for name in ("pose", "scan", "step", "path")}
         keyframes.add(**keyframe)
         for other in np.flatnonzero(euclidean_distances(keyframes.pose, keyframes.pose[row]) < 1.5).tolist():
             keyframes.connect(other, row)

@@ -95,7 +95,7 @@ def voted(features: list[list[int]], groups: list[int], query: list[int]) -> int
     for row, (values, group) in enumerate(zip([*features, query], [*groups, 99], strict=True)):
         keyframes.add(features=np.array([values, values]), group=group, direction=NORTH, step=row)
     config = preset("paper", sectors=3, measure="euclidean", threshold=0.4)
-    return AppearanceDetector(config).detect(keyframes, DeadReckoningTracker(), np.zeros(keyframes.count)).visited
+    return AppearanceDetector(config).detect(keyframes, DeadReckoningTracker(), np.zeros(keyframes.count)).step
 
 
 def test_the_group_with_most_of_the_four_nearest_wins_with_its_nearest_row() -> None:
@@ -126,7 +126,7 @@ def test_it_finds_its_way_with_typical_noise() -> None:
     info, memory = explore("twin_rings", noise="typical", seed=1)
     assert info["coverage"] > 0.95
     assert info["false_claims"] == 0
-    assert len(memory.tracker.edges) >= memory.keyframes.count - 1
+    assert len(memory.tracker.graph(memory.keyframes).edges) >= memory.keyframes.count - 1
 
 
 @pytest.mark.parametrize("action_type", ["twist", "discrete"])

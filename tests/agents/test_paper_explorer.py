@@ -38,7 +38,7 @@ def explore(plan: str | FloorPlan, policy: KnnPolicy | None = None) -> tuple[dic
                 "indicators": sum(explorer.indicators),
                 "groups": [group.name for group in explorer.groups],
                 "rows": explorer.keyframes.count,
-                "compared": explorer.detector.vote.compared,
+                "compared": explorer.detector.compared,
                 "listed": len(states),
                 "resolved": states.count("reached another way") + states.count("visited"),
                 "claims": len(explorer.claims),
@@ -96,12 +96,12 @@ def found_by(
 
 def test_position_says_where_and_appearance_confirms() -> None:
     same, other = (4, 5, 9), (9, 1, 1)  # the fourth row, at 3 m, looks like the first; so do those at 10, 17 and 24 m
-    assert found_by(CombinedDetector, 3.0, same, EAST).visited == 3
-    assert found_by(CombinedDetector, 3.0, other, EAST).visited is None
-    assert found_by(CombinedDetector, 3.0, same, NORTH).visited is None
-    assert found_by(CombinedDetector, 6.0, same, EAST).visited is None  # the nearest that looks so is 3 m away
-    assert found_by(PositionDetector, 3.0, other, NORTH).visited == 3
-    assert found_by(AppearanceDetector, 6.0, same, EAST).visited is not None
+    assert found_by(CombinedDetector, 3.0, same, EAST).step == 3
+    assert found_by(CombinedDetector, 3.0, other, EAST).step is None
+    assert found_by(CombinedDetector, 3.0, same, NORTH).step is None
+    assert found_by(CombinedDetector, 6.0, same, EAST).step is None  # the nearest that looks so is 3 m away
+    assert found_by(PositionDetector, 3.0, other, NORTH).step == 3
+    assert found_by(AppearanceDetector, 6.0, same, EAST).step is not None
 
 
 def test_a_visited_place_is_joined_to_the_known_one() -> None:

@@ -6,18 +6,20 @@ import math
 
 import numpy as np
 import pytest
-import shapely
 from scipy.optimize import least_squares
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import dijkstra
 
 from agents.slam.keyframes import CAPACITY, Keyframes
 from agents.slam.pose_graph import optimize
-from agents.slam.scan_filters import confirm, despeckle, fill, reliable_endpoints
+from agents.slam.registration import Registration
+from agents.slam.scan_filters import LaserReader, confirm, despeckle, fill, reliable_endpoints
 from agents.slam.se2 import compose, relative, wrap_angle
-from agents.slam.tracker import DeadReckoningTracker, ScanMatchingTracker
-from cyclic_env.floor_plans import load_floor_plan
-from tests.agents.buildings import BEAMS, CROSSING, MATCHER, REACH, ROOM, keyframes_at, plan_of, seen
+from agents.slam.tracker import DeadReckoningTracker
+from cyclic_env.config import LaserConfig
+from cyclic_env.floor_plans import FloorPlan, load_floor_plan
+from cyclic_env.simulation.lidar import scan
+from tests.agents.buildings import BEAMS, CROSSING, MATCHER, REACH, ROOM, plan_of, seen
 
 
 def test_relative_and_compose_undo_each_other() -> None:
@@ -63,18 +65,26 @@ def test_a_beam_through_a_wall_is_not_confirmed_and_is_filled_in() -> None:
     assert out[40:42].max() < 4.0
 
 
+def match_at(
+    plan: FloorPlan, place: tuple[float, ...], ranges: np.ndarray, expected: np.ndarray, std: tuple[float, ...]
+) -> Registration:
+    """Match ranges with the true scan at a place; poses are in the frame of the plan."""
+    at = np.array(place)
+    found = MATCHER.match(MATCHER.reference(seen(plan, *place)), ranges, relative(at, expected)[None], np.array(std))
+    return found._replace(pose=compose(at, found.pose))
+
+
 @pytest.mark.parametrize("name", ["office", "killian_court", "chamfered", "grid"])
 def test_matching_finds_the_pose_from_which_a_scan_was_taken(name: str) -> None:
     plan = load_floor_plan(name)
     rng = np.random.default_rng(0)
     x, y, heading = plan.start
-    keyframes = keyframes_at(plan, [(x, y, heading)])
     for _ in range(20):
         true = np.array([x, y, heading]) + rng.uniform(-1, 1, 3) * (0.3, 0.3, 0.15)
         expected = true + rng.uniform(-1, 1, 3) * (0.3, 0.3, 0.1)
         ranges = seen(plan, *true)
-        found = MATCHER.match(keyframes, 0, ranges, ranges, expected, np.array([0.5, 0.5, 0.2]))
-        assert found.inlier_ratio > 0.9
+        found = match_at(plan, plan.start, ranges, expected, (0.5, 0.5, 0.2))
+        assert found.wide > 0.9
         if found.min_eigenvalue > 10:
             np.testing.assert_allclose(found.pose[:2], true[:2], atol=0.1)
         assert abs(wrap_angle(found.pose[2] - true[2])) < 0.02
@@ -82,27 +92,24 @@ def test_matching_finds_the_pose_from_which_a_scan_was_taken(name: str) -> None:
 
 def test_along_a_plain_corridor_a_match_keeps_to_what_was_expected_and_says_so() -> None:
     corridor = plan_of((0, 0, 60, 2.4))
-    keyframes = keyframes_at(corridor, [(30.0, 1.2, 0.0)])
     ranges = seen(corridor, 30.0, 1.5, 0.05)
-    found = MATCHER.match(keyframes, 0, ranges, ranges, np.array([30.7, 1.2, 0.0]), np.array([0.5, 0.5, 0.2]))
+    found = match_at(corridor, (30.0, 1.2, 0.0), ranges, np.array([30.7, 1.2, 0.0]), (0.5, 0.5, 0.2))
     np.testing.assert_allclose(found.pose, [30.7, 1.5, 0.05], atol=0.03)
     assert found.min_eigenvalue < 1.0
 
 
 def test_scans_of_different_rooms_do_not_agree() -> None:
-    keyframes = keyframes_at(ROOM, [(5.0, 3.0, 0.0)])
     ranges = seen(CROSSING, 15.0, 1.2, 0.0)
-    found = MATCHER.match(keyframes, 0, ranges, ranges, np.array([5.0, 3.0, 0.0]), np.array([1.0, 1.0, 0.2]))
-    assert found.inlier_ratio < 0.6
+    found = match_at(ROOM, (5.0, 3.0, 0.0), ranges, np.array([5.0, 3.0, 0.0]), (1.0, 1.0, 0.2))
+    assert found.wide < 0.6
 
 
 def test_along_a_plain_corridor_a_match_stays_where_it_was_expected() -> None:
     """There the ends tell the way across and the heading, and with noise nothing must be made of the way along."""
     corridor, rng = plan_of((0, 0, 60, 2.4)), np.random.default_rng(0)
-    keyframes = keyframes_at(corridor, [(30.0, 1.2, 0.0)])
     for _ in range(20):
         ranges = np.minimum(seen(corridor, 30.4, 1.0, 0.1) + rng.normal(0, 0.03, BEAMS), REACH)
-        found = MATCHER.match(keyframes, 0, ranges, ranges, np.array([30.0, 1.2, 0.05]), np.array([0.3, 0.3, 0.1]))
+        found = match_at(corridor, (30.0, 1.2, 0.0), ranges, np.array([30.0, 1.2, 0.05]), (0.3, 0.3, 0.1))
         assert found.min_eigenvalue == 0.0
         assert found.pose[0] == pytest.approx(30.0, abs=0.02)
         assert found.pose[1] == pytest.approx(1.0, abs=0.02)
@@ -172,53 +179,20 @@ def test_a_pose_graph_is_solved_as_least_squares_are() -> None:
     np.testing.assert_allclose(wrap_angle(found[1:, 2] - expected[:, 2]), 0, atol=2e-3)
 
 
-def follow(track: ScanMatchingTracker, keyframes: Keyframes, driven: float, heading: float, ranges: np.ndarray) -> None:
-    """Let a tracker take in a scan, and add its keyframe."""
-    track.advance(driven, np.array([math.cos(heading), math.sin(heading)]))
-    count = keyframes.count
-    track.localize(
-        keyframes, ranges, ranges, keyframes.geodesic_distances(count - 1).distances if count else np.zeros(0)
-    )
-    lines = MATCHER.wall_lines(ranges)
-    keyframes.add(pose=track.pose, scan=ranges, endpoints=ranges, lines=lines, compass=track.compass)
-
-
-def test_closing_a_loop_straightens_a_bent_track() -> None:
-    """Around a block with a distance meter that runs fast at first and slow then, whose errors do not cancel."""
-    ring = load_floor_plan("ring")
-    line = shapely.LineString(ring.centrelines[0])  # pyright: ignore[reportArgumentType]
-    stops = np.array([line.interpolate(s).coords[0] for s in np.arange(0, line.length, 1.0)])
-    steps = np.diff(np.vstack([stops, stops[:1]]), axis=0)
-    headings = np.unwrap(np.arctan2(steps[:, 1], steps[:, 0]))
-    track, keyframes, driven = ScanMatchingTracker(MATCHER), Keyframes(BEAMS, 7), 0.0
-    for index, (stop, heading) in enumerate(zip(stops, headings, strict=True)):
-        driven += 0.0 if index == 0 else 1.1 if index < 26 else 0.95
-        follow(track, keyframes, driven, heading, seen(ring, *stop, heading))
-    true = relative(np.array([*stops[0], headings[0]]), np.array([*stops[-1], headings[-1]]))
-    before = math.hypot(*(relative(keyframes.pose[0], keyframes.pose[-1]) - true)[:2])
-    expected = np.array([*keyframes.pose[0, :2], keyframes.pose[-1, 2]])
-    found = MATCHER.match(
-        keyframes, 0, keyframes.scan[-1], keyframes.endpoints[-1], expected, np.array([1.5, 1.5, 0.3])
-    )
-    track.add_loop_closure(keyframes, found)
-    after = math.hypot(*(relative(keyframes.pose[0], keyframes.pose[-1]) - true)[:2])
-    assert after < 0.3 * before
-
-
-def test_the_distance_meters_scale_is_learned_from_the_walls() -> None:
-    """It shows 4 % too much, along a corridor with niches and side corridors enough to tell the way driven."""
-    grid, rng = load_floor_plan("grid"), np.random.default_rng(0)
-    start, end = (
-        np.array(point) for point in max(grid.centrelines, key=lambda line: shapely.LineString(line).length)[:2]
-    )
-    along = (end - start) / math.hypot(*(end - start))
-    heading = math.atan2(along[1], along[0])
-    track, keyframes = ScanMatchingTracker(MATCHER), Keyframes(BEAMS, 7)
-    for metres in range(25):
-        ranges = seen(grid, *(start + (1.0 + metres) * along), heading)
-        ranges = np.clip(ranges + rng.normal(0, 0.02, BEAMS), 0.0, REACH)
-        follow(track, keyframes, 1.04 * metres, heading, ranges)
-    assert track.scale == pytest.approx(1 / 1.04, abs=0.005)
+def test_a_laser_of_many_beams_is_read_as_one_of_few() -> None:
+    plan = load_floor_plan("office")
+    fine = LaserConfig(num_beams=1080)
+    reader = LaserReader(fine)
+    ranges = scan(plan.walls, np.array(plan.start), fine)
+    wrong = ranges.copy()
+    wrong[::7] = 0.5
+    few = reader.read(wrong)
+    assert few.shape == (BEAMS,)
+    assert (np.abs(few - seen(plan, *plan.start)) < 0.3).mean() > 0.95
+    half = LaserReader(LaserConfig(num_beams=721, field_of_view=math.pi))
+    assert half.read(np.arange(721.0) / 100)[[0, -1]] == pytest.approx([0.0, 7.2], abs=0.03)
+    few = LaserReader(LaserConfig(num_beams=60))
+    np.testing.assert_array_equal(few.read(np.linspace(-1, 20, 60)), np.clip(np.linspace(-1, 20, 60), 0, REACH))
 
 
 def test_ends_that_despeckling_moved_are_no_walls_to_match() -> None:
@@ -238,8 +212,7 @@ def test_ends_that_despeckling_moved_are_no_walls_to_match() -> None:
 def test_a_wall_is_not_matched_with_its_other_face() -> None:
     """Two rooms share a wall of 0.2 m: what one sees of it tells nothing of where the other's face is."""
     rooms = plan_of((0, 0, 6, 4), (0, 4.2, 6, 8.2), (2.5, 3.9, 3.5, 4.3))
-    keyframes = keyframes_at(rooms, [(4.6, 3.0, 0.0)])
     true = np.array([1.2, 5.3, 0.0])
     ranges = seen(rooms, *true)
-    found = MATCHER.match(keyframes, 0, ranges, ranges, np.array([1.3, 5.35, 0.0]), np.array([0.3, 0.3, 0.1]))
+    found = match_at(rooms, (4.6, 3.0, 0.0), ranges, np.array([1.3, 5.35, 0.0]), (0.3, 0.3, 0.1))
     np.testing.assert_allclose(found.pose, true, atol=0.1)  # with the other face it is 0.2 m off

@@ -292,6 +292,7 @@ def test_differences_are_paired_and_over_maps() -> None:
     (row,) = differences(frame, ("knn", "frontier")).to_dict("records")
     assert row["pairs"] == "4"
     assert row["return minus that of knn"] == "5.0 [5.0, 5.0]"
+    assert row["probability of improvement"] == "0.75"  # on each map, of two runs each, all but one in four pairs
     assert differences(frame, ("knn",)).empty
 
 

@@ -43,6 +43,14 @@ def test_evaluate_takes_a_model_that_came_without_settings(tmp_path: Path, capsy
     assert "own.zip" in capsys.readouterr().out
 
 
+def test_evaluate_marks_privileged_agents(capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate_main(["oracle", "circling", "--map", "ring", "--episodes", "2", "--random-start"]) == 0
+    _, oracle, circling, *_ = capsys.readouterr().out.splitlines()
+    assert oracle.startswith("oracle (privileged)")
+    assert " 1.0 of 1 " in oracle
+    assert circling.startswith("circling ")
+
+
 def test_evaluate_draws_random_starts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     file = tmp_path / "scores.json"
     arguments = ["standing_still", "--map", "ring", "--episodes", "3", "--step-budget", "5", "--json", str(file)]

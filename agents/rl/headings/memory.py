@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.rl.headings.grid import Ahead, Grid, SearchScratch, allocate_grid, allocate_search_scratch
 from agents.rl.headings.tracking import ROBOT, Keyframes, MatchScratch, allocate_keyframes, allocate_match_scratch
-from cyclic_env import ClosureConfig, LaserConfig, RobotConfig
+from cyclic_env import ClosureConfig, ConfigError, LaserConfig, RobotConfig
 
 HEADINGS = 16
 """Headings to choose from, relative to the robot's, counter-clockwise."""
@@ -29,11 +29,23 @@ CLEARANCE = 0.06
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rules:
-    """What the features depend on: the laser, the robot, and what counts as being back."""
+    """What the features depend on: the laser, the robot, and what counts as being back.
+
+    Raises
+    ------
+    ConfigError
+        If the laser does not see all around.
+    """
 
     laser: LaserConfig = field(default_factory=LaserConfig)
     robot: RobotConfig = field(default_factory=RobotConfig)
     closure: ClosureConfig = field(default_factory=ClosureConfig)
+
+    def __post_init__(self) -> None:
+        if not self.laser.sees_all_around:
+            raise ConfigError(
+                f"the laser's field_of_view is {self.laser.field_of_view:g}; the task headings needs one of 2 pi."
+            )
 
     @property
     def stride(self) -> int:

@@ -31,6 +31,7 @@ from agents.rl.headings.tracking import (
     enlarged,
     localize,
 )
+from agents.slam.panorama import panorama_beams
 from agents.slam.scan_filters import despeckle, reliable_endpoints
 from cyclic_env.jit import compiled, num_cores
 
@@ -53,6 +54,7 @@ class Perception:
     def __init__(self, robots: int, rules: Rules) -> None:
         self.rules = rules
         self._limits = limits_of(rules)
+        self._beams, _ = panorama_beams(rules.laser)
         self.memory = allocate_memory(robots, rules)
         self._scratches: list[Scratch] = []
         self._threads: ThreadPoolExecutor | None = None
@@ -63,7 +65,7 @@ class Perception:
 
     def sense(self, observation: dict[str, np.ndarray], rows: np.ndarray) -> None:
         """Take the observation of a step, of the robots `rows`."""
-        self.memory.laser[rows] = observation["laser"][rows]
+        self.memory.laser[np.ix_(rows, self._beams)] = observation["laser"][rows]
         distance, compass = observation["distance"].astype(np.float64), observation["compass"].astype(np.float64)
         sense_rows(self.memory, distance, compass, rows)
 

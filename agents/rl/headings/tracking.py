@@ -1,17 +1,18 @@
 """Where each robot is and where it has been: dead reckoning, held by matching each keyframe with the last one.
 
-It does what `agents.slam.tracker.PoseTracker` does, with the same kernels, for many robots at once in compiled code;
-in place of the pose graph, the error that a match shows is spread evenly over the loop.
+It matches with the kernels of `agents.slam`, for many robots at once in compiled code; in place of a pose graph, the
+error that a match shows is spread evenly over the loop.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from agents.component_config import kernel_tuple, pack
+from agents.component_config import ComponentConfig, kernel_tuple, pack
 from agents.slam.scan_matching import (
     Estimate,
     MatcherConfig,
@@ -21,8 +22,7 @@ from agents.slam.scan_matching import (
     align,
     compare_endpoints,
 )
-from agents.slam.tracker import TrackerConfig
-from agents.slam.wall_lines import fit_wall_lines
+from agents.slam.wall_lines import fit_wall_lines, measure_gaps, place_endpoints
 from cyclic_env.jit import compiled
 
 MATCHER = pack(MatcherValues, MatcherConfig())
@@ -44,9 +44,32 @@ REDRAW = 0.5
 """Metres by which mends have moved the track before the map is drawn anew."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TrackerConfig(ComponentConfig):
+    """What is expected of the sensors."""
+
+    heading_std: float = math.radians(0.1)
+    """Of the heading that matching two scans a metre apart gives; in simulation 0.03 to 0.12 degrees."""
+    position_std: float = 0.01
+    """Of the position that it gives."""
+    bias_gain: float = 0.3
+    """Share of the compass's error at a keyframe that lasts until the next: the field in a building changes slowly."""
+    drift_share: float = 0.6
+    """Share of the compass's error from keyframe to keyframe that may be left in the headings of a long way."""
+    scale_std: float = 0.03
+    """Of the distance meter's scale, before anything is known of it."""
+    slip_std: float = 0.03
+    """Of the way driven, metres per square root of a metre."""
+    scale_endpoints: float = 2.0
+    scale_distance: float = 0.5
+    scale_turn: float = 0.2
+    """A match tells the scale if so many endpoints tell the way driven, over so many metres, turning less than this."""
+    scale_step: float = 0.02
+    """By how much one match may change the scale, beyond its uncertainty: a few find the way far too short."""
+
+
 TrackerValues = kernel_tuple("TrackerValues", TrackerConfig, __name__)
 TRACKER = pack(TrackerValues, TrackerConfig())
-"""As in the explorer."""
 
 ROBOT = np.dtype(
     [
@@ -100,6 +123,7 @@ class MatchScratch(NamedTuple):
     ranges: np.ndarray
     endpoints: np.ndarray
     reference: np.ndarray
+    points: np.ndarray
     lines: np.ndarray
     prior: np.ndarray
     spread: np.ndarray
@@ -135,6 +159,7 @@ def allocate_match_scratch(beams: int) -> MatchScratch:
         ranges=np.zeros(SECTORS),
         endpoints=np.zeros(beams),
         reference=np.zeros(beams),
+        points=np.zeros((beams, 3)),
         lines=np.zeros((beams, 3)),
         prior=np.zeros(3),
         spread=np.zeros(3),
@@ -199,7 +224,9 @@ def match_keyframe(keyframes, i, k, scratch, range_max):
         for c in range(3):
             scratch.lines[b, c] = keyframes.lines[i, k, b, c]
     pose, hessian = scratch.pose, scratch.hessian
-    reference, prior = Reference(scratch.reference, scratch.lines), Prior(scratch.prior, scratch.spread)
+    place_endpoints(scratch.reference, scratch.points)
+    measure_gaps(scratch.reference, scratch.lines, scratch.points, MATCHER)
+    reference, prior = Reference(scratch.reference, scratch.points, scratch.lines), Prior(scratch.prior, scratch.spread)
     align(reference, scratch.endpoints, range_max, prior, Estimate(pose, hessian, scratch.gradient), MATCHER)
     there, seen_there = compare_endpoints(scratch.reference, scratch.scan, range_max, pose, MATCHER.tolerance)
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
@@ -299,7 +326,8 @@ def add_keyframe(robot, keyframes, i, scratch, range_max):
     keyframes.decision[i, k] = robot.decisions
     for c in range(SECTORS):
         keyframes.ranges[i, k, c] = scratch.ranges[c]
-    fit_wall_lines(scratch.endpoints, range_max, scratch.lines, MATCHER)
+    place_endpoints(scratch.endpoints, scratch.points)
+    fit_wall_lines(scratch.endpoints, range_max, scratch.points, scratch.lines, MATCHER)
     for b in range(scratch.scan.shape[0]):
         keyframes.scan[i, k, b] = scratch.scan[b]
         for c in range(3):

@@ -131,6 +131,7 @@ def test_random_choices_are_the_same_in_any_row_and_other_ones_in_the_next_episo
     [
         {"laser": {"num_beams": 36, "range_max": 5.0}},
         {"laser": {"num_beams": 361}},
+        {"laser": {"mounting_angle": 1.5}},
         {"robot": {"radius": 0.4, "wheel_speed_max": 0.6}},
     ],
 )
@@ -167,6 +168,8 @@ def test_an_action_beyond_the_space_is_an_error(action: list[float]) -> None:
 def test_misuse_is_an_error() -> None:
     with pytest.raises(ConfigError, match="action_type"):
         CyclicLoopHeadingsEnv("ring", action_type="wheels")
+    with pytest.raises(ConfigError, match="field_of_view"):
+        CyclicLoopHeadingsEnv("ring", laser={"field_of_view": 4.7})
     with pytest.raises(ConfigError, match="SAME_STEP"):
         CyclicLoopHeadingsVectorEnv(1, "ring", autoreset_mode=AutoresetMode.NEXT_STEP)
     env = CyclicLoopHeadingsEnv("ring", step_budget=3)
