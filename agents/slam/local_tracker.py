@@ -31,6 +31,8 @@ class LocalTrackerConfig(ComponentConfig):
     """Of the track against a keyframe a little further back."""
     matched: int = 4
     """Earlier keyframes that are matched: those 1, 2, 4, ... before."""
+    matched_all_around: int = 2
+    """The same where the laser sees all around, and each match tells more."""
     path_max: float = 8.0
     """Way to the farthest of them."""
     wide_min: float = 0.75
@@ -69,6 +71,7 @@ class LocalTracker:
     ) -> None:
         self.run, self.matcher, self.odometry, self.config = run, matcher, odometry, config
         self._seen_min, self._all_around = config.seen_share * laser.num_beams, laser.sees_all_around
+        self._matched = config.matched_all_around if laser.sees_all_around else config.matched
         self._step_information = np.diag(odometry.std**-2)
         position, heading = config.guess_position_std, config.guess_heading_std
         self._guess_std = np.array([position, position, heading])
@@ -86,7 +89,7 @@ class LocalTracker:
         run.pose[i] = compose(run.pose[i - 1], odometry)
         run.sources[i, 0], run.measured[i, 0], run.information[i, 0] = i - 1, odometry, self._step_information
         held = False
-        for slot in range(1, config.matched + 1):
+        for slot in range(1, self._matched + 1):
             j = i - 2 ** (slot - 1)
             if j < 0 or run.path[i] - run.path[j] > config.path_max:
                 break

@@ -56,6 +56,25 @@ def test_a_closed_room_has_no_opening() -> None:
     assert open_points(seen(ROOM, 5.0, 3.0, 0.0), REACH, out, VALUES) == 0
 
 
+def test_where_the_laser_does_not_look_there_is_neither_a_wall_nor_an_opening() -> None:
+    whole, out, clear = seen(CROSSING, 13.0, 1.2, 0.0), np.empty((400, 3)), np.empty(BEAMS)
+    half = whole.copy()
+    half[BEAMS // 4 : -BEAMS // 4] = 0.0
+    count = open_points(half, REACH, out, VALUES)
+    bearings = np.abs(wrap_angle(out[:count, 1] * SPACING))
+    assert count > 0
+    assert bearings.max() < 1.3  # not at the edge, 90 degrees aside
+    clear_lengths(half, 0.3, clear)
+    assert clear[0] > 5.0
+    assert (clear[BEAMS // 4 : -BEAMS // 4] == 0).all()
+    grid = Costmap(REACH)
+    pose = np.array([13.0, 1.2, 0.0])
+    grid.draw(pose, half[None], pose[None], NO_LEGS)
+    costs, _ = grid.costs_to(np.array([[18.0, 1.2], [8.0, 1.2]]))
+    assert np.isfinite(costs[0])
+    assert np.isinf(costs[1])
+
+
 def test_openings_are_seen_at_the_ends_and_corners_of_a_crossing() -> None:
     pose, out = (13.0, 1.2, 0.0), np.empty((400, 3))
     count = open_points(seen(CROSSING, *pose), REACH, out, VALUES)

@@ -122,6 +122,19 @@ def test_it_sees_everything_and_closes_every_cycle_without_a_false_claim(name: s
     assert len(memory.claims) >= info["cycles_closed"]
 
 
+def test_a_laser_of_half_a_turn_looks_around_and_closes_the_loop() -> None:
+    laser = LaserConfig(field_of_view=math.pi)
+    info, memory = explore("ring", KnnPolicy(preset("extended").fitted(laser, RobotConfig())), laser=laser)
+    assert (info["is_success"], info["false_claims"], info["cycles_closed"]) == (True, 0, 1)
+    assert (memory.keyframes.scan[0] > 0).mean() < 0.6
+    assert (memory.keyframes.scan[-1] > 0).mean() > 0.9  # the panorama of the last metres
+
+
+def test_it_finds_its_way_with_poor_noise() -> None:
+    info, _ = explore("twin_rings", noise="poor")
+    assert (info["is_success"], info["false_claims"]) == (True, 0)
+
+
 def test_it_finds_its_way_with_typical_noise() -> None:
     info, memory = explore("twin_rings", noise="typical", seed=1)
     assert info["coverage"] > 0.95
