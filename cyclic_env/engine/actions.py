@@ -44,7 +44,7 @@ def check_actions(actions: Any, action_type: ActionType, num_robots: int) -> np.
     if array.shape[1:] != (num_elements,):
         raise ActionError(f"the action has shape {array.shape[1:]}; each action must have {num_elements} elements.")
     if discrete and array.dtype.kind not in "iu":
-        raise ActionError(f"a discrete action must hold integers, got an array of type {array.dtype}.")
+        raise ActionError(f"a discrete action must hold whole numbers, got an array of type {array.dtype}.")
     return array.astype(np.int64 if discrete else np.float64)
 
 
