@@ -62,7 +62,7 @@ _EXPLORERS = {
 }
 PRETRAINED = Path(__file__).with_name("pretrained")
 """Folder of the shipped models, each the folder of a training run."""
-_LEARNED = ("ppo_headings", "ppo_headings_1")
+_LEARNED = ("ppo_headings", "ppo_headings_1", "ppo_headings_2")
 _HEADINGS = (*_LEARNED, "headings_rule", "headings_random")
 _FRONTIERS = {
     "frontier": FrontierAgentConfig(),

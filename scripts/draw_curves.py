@@ -53,8 +53,10 @@ def main(args: Options) -> None:
         for axis, values in zip(axes, ("return", "share", "false_claims"), strict=True):
             steps, curves = smoothed(tables, values)
             shade = [channel / 255 for channel in color]
-            axis.plot(steps / 1000, curves.mean(axis=0), color=shade, label=label)
-            axis.fill_between(steps / 1000, curves.min(axis=0), curves.max(axis=0), color=shade, alpha=0.2, linewidth=0)
+            axis.plot(steps / 1000, np.nanmean(curves, axis=0), color=shade, label=label)
+            axis.fill_between(
+                steps / 1000, np.nanmin(curves, axis=0), np.nanmax(curves, axis=0), color=shade, alpha=0.2, linewidth=0
+            )
     for axis, title in zip(axes, ("return", "share of the cycles closed", "false claims a run"), strict=True):
         axis.set_title(title, fontsize=10)
         axis.set_xlabel("thousand decisions", fontsize=9)
@@ -84,12 +86,15 @@ def parse_curve(text: str) -> tuple[str, list[pd.DataFrame]]:
 
 
 def smoothed(tables: list[pd.DataFrame], column: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return steps `(points,)`, and at each of them the mean of the latest episodes of every run `(runs, points)`."""
+    """Return steps `(points,)`, and at each of them the mean of the latest episodes of every run `(runs, points)`.
+
+    It is NaN after the end of a run that is shorter than others.
+    """
     first = max(table.steps.iloc[min(WINDOW // 4, len(table) - 1)] for table in tables)
-    last = min(table.steps.iloc[-1] for table in tables)
-    steps = np.linspace(first, max(first, last), POINTS)
+    steps = np.linspace(first, max(table.steps.iloc[-1] for table in tables), POINTS)
     curves = []
     for table in tables:
         ends = np.searchsorted(table.steps, steps, side="right")
-        curves.append([table[column].iloc[max(0, end - WINDOW) : end].mean() for end in ends])
+        means = np.array([table[column].iloc[max(0, end - WINDOW) : end].mean() for end in ends])
+        curves.append(np.where(steps <= table.steps.iloc[-1], means, np.nan))
     return steps, np.array(curves)

@@ -13,7 +13,7 @@ from agents.rl.storage import BEST, PROGRESS, SETTINGS, VALIDATION, load_trained
 from cyclic_env.evaluation.rollout import evaluate
 from cyclic_env.floor_plans import load_floor_plans
 
-MODELS = ("ppo_headings", "ppo_headings_1")
+MODELS = ("ppo_headings", "ppo_headings_1", "ppo_headings_2")
 SIZE_MAX = 500_000
 
 
