@@ -1,4 +1,4 @@
-"""Agents that drive one robot, and policies that drive a batch of robots with one such agent each."""
+"""Base classes: an agent drives one robot, and a policy drives a batch of robots with one agent each."""
 
 from __future__ import annotations
 
@@ -13,14 +13,16 @@ from cyclic_env.config import ACTION_TYPES, DISTANCE_MAX, ActionType
 from cyclic_env.errors import ConfigError
 from cyclic_env.validation import as_array, check_choice, short_repr
 
-EXPECTED = "a dict with the arrays laser (N, beams), distance (N, 1) and compass (N, 2)"
+OBSERVATION_FORM = (
+    "a dict with the arrays laser (N, beams), distance (N, 1) and compass (N, 2) (without N for a single robot)"
+)
 
 
 class Agent(ABC):
     """The agent of one robot for one episode. It owns all that it remembers; the next episode has a new agent."""
 
     beams: int | None = None
-    """Number of beams of the laser that the agent is made for, if it remembers scans."""
+    """Beam count that the agent requires, or None if any will do."""
 
     @abstractmethod
     def decide(self, scan: np.ndarray, distance: float, compass: np.ndarray) -> Decision:
@@ -38,11 +40,14 @@ class Agent(ABC):
 
     @property
     def belief(self) -> np.ndarray | None:
-        """Where it believes to be, from where it started: x, y, heading `(3,)`; None if it keeps no account of that."""
+        """Estimated pose (x, y, heading) `(3,)`; None if the agent doesn't track its pose.
+
+        The position is relative to the start, in metres east and north; the heading is in radians.
+        """
         return None
 
     def encode(self, decision: Decision, action_type: ActionType) -> tuple[float, ...]:
-        """Return a decision as an action of that type."""
+        """Encode a decision as an action of the environment's action type."""
         return encode_action(decision, action_type)
 
 
@@ -56,7 +61,7 @@ class Readings(NamedTuple):
     compass: np.ndarray
     """`(N, 2)`, east and north."""
     single: bool
-    """Whether the observation was that of one robot, without the batch axis."""
+    """True if the input had no batch axis."""
 
 
 class BatchPolicy(ABC):
@@ -73,15 +78,15 @@ class BatchPolicy(ABC):
 
     @abstractmethod
     def new_agent(self, beams: int, row: int, previous: Any = None) -> Agent:
-        """Return the agent of the robot in a row of the batch, at the beginning of an episode.
+        """Return the agent that drives the robot in a row of the batch for one episode; called as the episode starts.
 
         Parameters
         ----------
         beams : int
-            Number of the laser's beams.
+            Number of laser beams.
         row : int
         previous : Agent, optional
-            The robot's agent in the episode before.
+            The agent that drove this robot in the previous episode; None if there was no such episode.
         """
 
     def predict(
@@ -91,7 +96,7 @@ class BatchPolicy(ABC):
         episode_start: np.ndarray | None = None,
         deterministic: bool = True,
     ) -> tuple[np.ndarray, Any]:
-        """Return the robots' actions, and the agents that have chosen them.
+        """Return the robots' actions, and the agents that chose them.
 
         Parameters
         ----------
@@ -103,7 +108,7 @@ class BatchPolicy(ABC):
         episode_start : (N,) bool, optional
             Robots whose episode has just begun.
         deterministic : bool
-            Has no effect.
+            Ignored; present for SB3 compatibility.
 
         Returns
         -------
@@ -116,7 +121,7 @@ class BatchPolicy(ABC):
             If the observation is not of this form, or the state or `episode_start` belongs to other robots.
         """
         laser, distance, compass, single = read_observation(observation)
-        agents = self._agents(laser.shape, state, episode_start)
+        agents = self._agents_for_rows(laser.shape, state, episode_start)
         actions = [
             agent.encode(agent.decide(laser[row], float(distance[row]), compass[row]), self.action_type)
             for row, agent in enumerate(agents)
@@ -124,52 +129,54 @@ class BatchPolicy(ABC):
         batch = np.array(actions, np.int64 if self.action_type == "discrete" else np.float32)
         return (batch[0] if single else batch), agents
 
-    def _agents(self, shape: tuple[int, ...], state: Any, episode_start: np.ndarray | None) -> tuple[Agent, ...]:
-        """Return an agent for each row: the one in the state, or a new one where an episode begins."""
-        count, beams = shape
+    def _agents_for_rows(
+        self, shape: tuple[int, ...], state: Any, episode_start: np.ndarray | None
+    ) -> tuple[Agent, ...]:
+        """Return an agent for each row: the one in the state, or a new one where an episode starts."""
+        num_rows, beams = shape
         if state is None:
-            return tuple(self.new_agent(beams, row) for row in range(count))
+            return tuple(self.new_agent(beams, row) for row in range(num_rows))
         if not isinstance(state, list | tuple) or not all(isinstance(agent, Agent) for agent in state):
             raise ConfigError(f"the state is {short_repr(state)}; expected what the last predict returned, or None.")
-        if len(state) != count:
+        if len(state) != num_rows:
             raise ConfigError(
-                f"the state is that of {len(state)} robots, the observation that of {count}; begin with state=None."
+                f"the state holds {len(state)} agents, but the observation has {num_rows} robots; "
+                "pass state=None to start afresh."
             )
-        begun = np.zeros(count, np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_).ravel()
-        if len(begun) != count:
-            raise ConfigError(f"episode_start is that of {len(begun)} robots, the observation that of {count}.")
-        for agent, new in zip(state, begun, strict=True):
-            if not new and agent.beams not in (None, beams):
-                raise ConfigError(
-                    f"the state is that of a laser with {agent.beams} beams, but the observation has {beams}."
-                )
-        return tuple(
-            self.new_agent(beams, row, agent) if new else agent
-            for row, (agent, new) in enumerate(zip(state, begun, strict=True))
-        )
+        starts = np.zeros(num_rows, np.bool_) if episode_start is None else np.asarray(episode_start, np.bool_).ravel()
+        if len(starts) != num_rows:
+            raise ConfigError(f"episode_start has {len(starts)} entries, but the observation has {num_rows} robots.")
+        agents = []
+        for row, (agent, is_start) in enumerate(zip(state, starts, strict=True)):
+            fits = agent.beams is None or agent.beams == beams
+            if not is_start and not fits:
+                raise ConfigError(f"the agent expects {agent.beams} beams, but the observation has {beams}.")
+            agents.append(self.new_agent(beams, row, agent) if is_start else agent)
+        return tuple(agents)
 
 
 def read_observation(observation: Any) -> Readings:
-    """Return the readings in an observation of one robot or of several.
+    """Return the checked readings in an observation of one robot or of several.
 
     Raises
     ------
     ConfigError
-        If the observation is not what `EXPECTED` says, or a reading of distance or compass is not finite and in range.
+        If the observation is not of the form `OBSERVATION_FORM`, or the distance or the compass is not finite, or the
+        distance is out of range.
     """
     if not isinstance(observation, Mapping):
-        raise ConfigError(f"the observation is {short_repr(observation)}; expected {EXPECTED}.")
+        raise ConfigError(f"the observation is {short_repr(observation)}; expected {OBSERVATION_FORM}.")
     arrays = []
     for name in ("laser", "distance", "compass"):
         if name not in observation:
-            raise ConfigError(f"the observation has no {name}; expected {EXPECTED}.")
-        arrays.append(as_array(observation[name], f"the observation's {name}", EXPECTED, ConfigError))
+            raise ConfigError(f"the observation has no {name}; expected {OBSERVATION_FORM}.")
+        arrays.append(as_array(observation[name], f"the observation's {name}", OBSERVATION_FORM, ConfigError))
     laser, distance, compass = (array.astype(np.float64) for array in arrays)
-    robots = laser.shape[:-1]
-    if laser.ndim not in (1, 2) or distance.shape != (*robots, 1) or compass.shape != (*robots, 2):
+    batch_shape = laser.shape[:-1]
+    if laser.ndim not in (1, 2) or distance.shape != (*batch_shape, 1) or compass.shape != (*batch_shape, 2):
         shapes = ", ".join(str(array.shape) for array in arrays)
-        raise ConfigError(f"the observation's arrays have the shapes {shapes}; expected {EXPECTED}.")
-    if not (np.abs(distance) <= DISTANCE_MAX).all():
+        raise ConfigError(f"the observation's arrays have the shapes {shapes}; expected {OBSERVATION_FORM}.")
+    if not (np.abs(distance) <= DISTANCE_MAX).all():  # written so that NaN fails, too
         raise ConfigError(f"the observation's distance is {short_repr(distance)}; expected at most {DISTANCE_MAX:g} m.")
     if not np.isfinite(compass).all():
         raise ConfigError("the observation's compass isn't finite; expected the heading as a vector (east, north).")

@@ -1,4 +1,4 @@
-"""Decoding of actions: wheel speeds, and the step that a claim names."""
+"""Decoding of actions into wheel speeds and claimed steps."""
 
 from __future__ import annotations
 
@@ -14,17 +14,22 @@ from cyclic_env.task.loop_closure import NEAREST, NO_CLAIM
 from cyclic_env.validation import as_array
 
 TWIST_OMEGA_MAX = 3.0
-"""Turning rate of a full twist action, rad/s."""
+"""Turning rate of a twist action at its limit, rad/s."""
 
 SPOT_TURN = 0.15
-"""Wheel speed of a discrete turn, as a share of full speed: 0.9 rad/s, 10 degrees a step."""
+"""Wheel speed of a discrete turn on the spot, as a share of full speed.
+
+With the default `RobotConfig` the robot turns at 0.9 rad/s, about 10 degrees per step.
+"""
 
 DISCRETE_WHEELS = np.array([[0.0, 0.0], [1.0, 1.0], [-SPOT_TURN, SPOT_TURN], [SPOT_TURN, -SPOT_TURN], [-1.0, -1.0]])
-"""Wheel speeds, as shares of full speed, of the discrete drives: stop, forward, left, right, back."""
+"""Wheel speeds (left, right), as shares of full speed, of the drives stop, forward, left, right and back."""
 
 
 def check_actions(actions: Any, action_type: ActionType, num_robots: int) -> np.ndarray:
     """Return a copy of the actions of all robots, float64 `(N, 4)`, or int64 `(N, 2)` if they are discrete.
+
+    Checks shape and type only; `decode_actions` checks the values.
 
     Raises
     ------
@@ -32,12 +37,12 @@ def check_actions(actions: Any, action_type: ActionType, num_robots: int) -> np.
         If they have the wrong shape or type.
     """
     discrete = action_type == "discrete"
-    shape = (num_robots, 2 if discrete else 4)
+    num_elements = 2 if discrete else 4
     array = as_array(actions, "the action", "an element of the action space", ActionError)
-    if array.shape != shape:
-        if array.shape[:1] != shape[:1]:
-            raise ActionError(f"the actions have shape {array.shape}; expected {shape}, a row for each robot.")
-        raise ActionError(f"the action has shape {array.shape[1:]}; expected {shape[1:]}.")
+    if array.shape[:1] != (num_robots,):
+        raise ActionError(f"the actions have shape {array.shape}; expected {num_robots} rows, one per robot.")
+    if array.shape[1:] != (num_elements,):
+        raise ActionError(f"the action has shape {array.shape[1:]}; each action must have {num_elements} elements.")
     if discrete and array.dtype.kind not in "iu":
         raise ActionError(f"a discrete action must hold whole numbers, got an array of type {array.dtype}.")
     return array.astype(np.int64 if discrete else np.float64)
@@ -51,7 +56,7 @@ def decode_actions(
     commands: np.ndarray,
     claimed: np.ndarray,
 ) -> None:
-    """Turn actions into wheel speeds and claimed steps.
+    """Turn actions into wheel speeds and claimed steps; continuous values beyond [-1, 1] are clipped.
 
     Parameters
     ----------
@@ -59,7 +64,7 @@ def decode_actions(
         From `check_actions`.
     action_type, robot
     status : (N,) STATUS
-        Holds the number of steps so far, of which a claim names a share.
+        Supplies the step count: a claim's match in [-1, 1] maps linearly onto steps 0 ... steps + 1.
     commands : (N, 2) float64
         Output: speeds of the left and the right wheel, m/s.
     claimed : (N,) int64
@@ -68,7 +73,7 @@ def decode_actions(
     Raises
     ------
     ActionError
-        If an action holds a NaN, or a discrete one is out of range.
+        If an action contains NaN, or a discrete one is out of range.
     """
     if action_type == "discrete":
         bad = decode_discrete(actions, robot.wheel_speed_max, DISCRETE_WHEELS, commands, claimed)
@@ -82,30 +87,43 @@ def decode_actions(
 
 
 @compiled
+def _clip(value):
+    """Return the value clipped to [-1, 1]."""
+    return min(max(value, -1.0), 1.0)
+
+
+@compiled
 def decode_continuous(actions, status, twist, wheel_speed_max, axle_track, commands, claimed):
-    """Turn actions `(N, 4)` into wheel speeds `(N, 2)` and claimed steps `(N,)`; return a row with a NaN, or -1."""
+    """Turn actions `(N, 4)` into wheel speeds `(N, 2)` and claimed steps `(N,)`.
+
+    Return the first row containing NaN, or -1; the rows after it are not decoded.
+    """
     for row in range(actions.shape[0]):
         action = actions[row]
         for value in action:
             if math.isnan(value):
                 return row
-        first, second = min(max(action[0], -1.0), 1.0), min(max(action[1], -1.0), 1.0)
+        first, second = _clip(action[0]), _clip(action[1])
         if twist:
-            speed, swing = first * wheel_speed_max, 0.5 * axle_track * second * TWIST_OMEGA_MAX
-            excess = max(1.0, max(abs(speed - swing), abs(speed + swing)) / wheel_speed_max)
-            commands[row, 0], commands[row, 1] = (speed - swing) / excess, (speed + swing) / excess
+            speed, half_difference = first * wheel_speed_max, 0.5 * axle_track * second * TWIST_OMEGA_MAX
+            left, right = speed - half_difference, speed + half_difference
+            scale = max(1.0, max(abs(left), abs(right)) / wheel_speed_max)  # keeps the ratio, and so the curve driven
+            commands[row, 0], commands[row, 1] = left / scale, right / scale
         else:
             commands[row, 0], commands[row, 1] = first * wheel_speed_max, second * wheel_speed_max
         claimed[row] = NO_CLAIM
         if action[2] > 0:
-            match = min(max(action[3], -1.0), 1.0)
-            claimed[row] = int(np.rint((match + 1) / 2 * (status[row].steps + 1)))
+            steps = status[row].steps + 1  # with the step that this action is for
+            claimed[row] = int(np.rint((_clip(action[3]) + 1) / 2 * steps))
     return -1
 
 
 @compiled
 def decode_discrete(actions, wheel_speed_max, wheels, commands, claimed):
-    """Turn actions `(N, 2)` int64 into wheel speeds `(N, 2)` and claims `(N,)`; return a row out of range, or -1."""
+    """Turn actions `(N, 2)` int64 into wheel speeds `(N, 2)` and claims `(N,)`.
+
+    Return the first row out of range, or -1; the rows after it are not decoded.
+    """
     for row in range(actions.shape[0]):
         drive, claim = actions[row, 0], actions[row, 1]
         if not (0 <= drive < wheels.shape[0] and 0 <= claim <= 1):

@@ -1,7 +1,7 @@
 """Roll out any policy, one episode for each seed, and score it.
 
-A policy is any object with the `predict` of Stable-Baselines3's ``PolicyPredictor``. Cycles closed mean nothing
-without the false claims beside them, since a policy that claims in every step closes cycles, too.
+A policy is any object with a `predict` method like Stable-Baselines3's ``PolicyPredictor``. Always report false claims
+next to cycles closed: a policy that claims at every step closes cycles too.
 """
 
 from __future__ import annotations
@@ -24,18 +24,21 @@ from cyclic_env.floor_plans import PlanPool, pool_label
 from cyclic_env.validation import is_integer, short_repr
 
 BATCH_SIZE = 16
-"""Default number of episodes that run at once."""
+"""Default maximum number of episodes to run in parallel."""
 
 EPISODES_MAX = 1_000_000
-"""Greatest number of episodes in one evaluation; a larger number is taken for a typing error."""
+"""Maximum number of episodes per evaluation; anything larger is assumed to be a typo."""
 
 
 class Policy(Protocol):
     """The interface of a policy.
 
-    It may also have ``reseed(state, seeds) -> state``, which gets the seeds of the episodes that begin (None for other
-    rows), so that random numbers need not depend on the row or the batch; and ``attach(env)``, which gets the
-    environment before the first episode, if it is privileged to look into it.
+    A policy may also have:
+
+    - ``reseed(state, seeds) -> state``, called whenever episodes start, with one seed per row (None for rows in which
+      none starts), so that the policy's random numbers need not depend on the row or the batch.
+    - ``attach(env)``, called once before the first episode, so that a privileged policy can look into the environment.
+    - ``action_type``, the kind of actions that it returns, so that `evaluate` can refuse an environment with another.
     """
 
     def predict(
@@ -66,15 +69,16 @@ def evaluate(
     agent : str
         Name of the policy in reports.
     seeds : iterable of int
-        All different. They change nothing for a deterministic policy with noise ``"ideal"`` and the plan's own start.
+        Must be distinct. They have no effect if the policy is deterministic, the noise ``"ideal"`` and the start the
+        plan's own.
     map_name, noise, settings
         As for `CyclicLoopEnv`.
     num_envs : int, optional
-        Greatest number of episodes that run at once; by default `BATCH_SIZE`.
+        Maximum number of episodes to run in parallel; by default `BATCH_SIZE`.
     every_plan : bool
         Run the episode of seed s on plan s modulo the number of plans; by default an episode draws its plan.
     deterministic : bool
-        Handed to the policy.
+        Passed to the policy.
     on_step : callable, optional
         Called after every step with the evaluation so far.
 
@@ -84,22 +88,23 @@ def evaluate(
         If the policy, the seeds or the settings don't fit.
     """
     seeds = checked_seeds(seeds)
-    settings |= {"noise": noise, "num_envs": BATCH_SIZE if num_envs is None else num_envs}
-    evaluation, pool = _empty_evaluation(policy, agent, map_name, seeds, settings)
+    num_envs = BATCH_SIZE if num_envs is None else num_envs
+    settings["noise"] = noise
+    evaluation, pool = _prepare_evaluation(policy, agent, map_name, seeds, num_envs, settings)
     order = {seed: index for index, seed in enumerate(seeds)}
-    for plans, its_seeds in _parts(pool, seeds) if every_plan else [(pool, seeds)]:
-        with closing(_make_env(plans, its_seeds, settings)) as env:
-            notify = None if on_step is None else partial(on_step, evaluation)
-            for record in rollout(policy, env, its_seeds, deterministic=deterministic, on_step=notify):
-                insort(evaluation.episodes, record, key=lambda record: order[record["seed"]])
+    notify = None if on_step is None else partial(on_step, evaluation)
+    for plans, plan_seeds in _seeds_by_plan(pool, seeds) if every_plan else [(pool, seeds)]:
+        with closing(_make_env(plans, plan_seeds, num_envs, settings)) as env:
+            for record in rollout(policy, env, plan_seeds, deterministic=deterministic, on_step=notify):
+                insort(evaluation.episodes, record, key=lambda episode: order[episode["seed"]])
     return evaluation
 
 
-def _empty_evaluation(
-    policy: Policy, agent: str, map_name: Any, seeds: Sequence[int], settings: Mapping[str, Any]
+def _prepare_evaluation(
+    policy: Policy, agent: str, map_name: Any, seeds: Sequence[int], num_envs: int, settings: Mapping[str, Any]
 ) -> tuple[Evaluation, PlanPool]:
     """Check all plans and settings by making an environment; return an evaluation without episodes, and the plans."""
-    env = _make_env(map_name, seeds, settings)
+    env = _make_env(map_name, seeds, num_envs, settings)
     config, pool = env.config, env.floor_plans
     env.close()
     action_type = getattr(policy, "action_type", config.action_type)
@@ -119,20 +124,18 @@ def _empty_evaluation(
     return evaluation, pool
 
 
-def _make_env(map_name: Any, seeds: Sequence[int], settings: Mapping[str, Any]) -> CyclicLoopVectorEnv:
-    """Return an environment with as many rows as there is work for."""
-    settings = dict(settings)
-    num_envs = settings.pop("num_envs")
-    rows = min(num_envs, len(seeds)) if is_integer(num_envs) else num_envs
-    return CyclicLoopVectorEnv(rows, map_name, autoreset_mode="SAME_STEP", **settings)
+def _make_env(map_name: Any, seeds: Sequence[int], num_envs: int, settings: Mapping[str, Any]) -> CyclicLoopVectorEnv:
+    """Return an environment with at most `num_envs` rows, and no more than there are seeds."""
+    num_rows = min(num_envs, len(seeds)) if is_integer(num_envs) else num_envs  # the environment refuses anything else
+    return CyclicLoopVectorEnv(num_rows, map_name, autoreset_mode="SAME_STEP", **settings)
 
 
-def _parts(pool: PlanPool, seeds: Sequence[int]) -> Iterator[tuple[PlanPool, list[int]]]:
-    """Yield each plan with the seeds whose episodes run on it."""
+def _seeds_by_plan(pool: PlanPool, seeds: Sequence[int]) -> Iterator[tuple[PlanPool, list[int]]]:
+    """Yield each plan, as a pool of one, with the seeds whose episodes run on it; plans without seeds are left out."""
     for index in range(len(pool)):
-        its_seeds = [seed for seed in seeds if seed % len(pool) == index]
-        if its_seeds:
-            yield pool[index : index + 1], its_seeds
+        plan_seeds = [seed for seed in seeds if seed % len(pool) == index]
+        if plan_seeds:
+            yield pool[index : index + 1], plan_seeds
 
 
 def rollout(
@@ -145,8 +148,8 @@ def rollout(
 ) -> Iterator[dict[str, Any]]:
     """Run one episode for each seed, and yield a record of each as it ends.
 
-    A row that is done takes the next seed, so the records come in the order in which the episodes end. For a policy
-    whose rows don't depend on each other, the record of a seed is the same in any row of a batch of any size.
+    A row whose episode has ended takes the next seed, so the records come in the order in which the episodes end. If
+    the policy's rows don't depend on each other, the record of a seed is the same in any row of a batch of any size.
     (Deterministic neural networks are such policies, up to rounding.)
 
     Parameters
@@ -156,7 +159,7 @@ def rollout(
         With autoreset mode ``SAME_STEP``: ours, or a ``SyncVectorEnv`` of single ones.
     seeds : iterable of int
     deterministic : bool
-        Handed to the policy.
+        Passed to the policy.
     on_step : callable, optional
         Called after every step.
 
@@ -169,7 +172,7 @@ def rollout(
     Raises
     ------
     ConfigError
-        If the policy, the env or the seeds don't fit; raised before any step.
+        If the policy, the env or the seeds don't fit. Since this is a generator, it is raised on the first iteration.
     """
     if isinstance(policy, type) or not callable(getattr(policy, "predict", None)):
         raise ConfigError(f"the policy is {short_repr(policy)}; expected an object with predict(observation, ...).")
@@ -183,27 +186,31 @@ def rollout(
 
 
 class _Batch:
-    """The rows of a vector env, each with the episode of a seed; rows without a seed still step until all are done."""
+    """The rows of a vector env, each running the episode of a seed.
+
+    A row for which no seed is left is idle: it still steps, as all rows of a vector env do, but nothing is recorded.
+    """
 
     def __init__(self, policy: Policy, env: VectorEnv, seeds: Sequence[int]) -> None:
-        count = env.num_envs
+        num_rows = env.num_envs
         self._policy, self._env = policy, env
         attach = getattr(policy, "attach", None)
         if attach is not None:
             attach(env)
         self._waiting = deque(seeds)
-        self._seeds: list[int | None] = [self._next_seed() for _ in range(count)]
+        self._seeds: list[int | None] = [self._next_seed() for _ in range(num_rows)]
+        # Rows that are idle from the start get seed 0, so that they too are the same in every run.
         self._observation, _ = env.reset(seed=[0 if seed is None else seed for seed in self._seeds])  # pyright: ignore[reportArgumentType]
-        self._state, self._episode_start = None, np.ones(count, np.bool_)
-        self._start_episodes(self._seeds)
-        self._returns, self._steps = np.zeros(count), np.zeros(count, np.int64)
+        self._state, self._episode_start = None, np.ones(num_rows, np.bool_)
+        self._on_episodes_started(self._seeds)
+        self._returns, self._steps = np.zeros(num_rows), np.zeros(num_rows, np.int64)
         self._terms: dict[str, np.ndarray] = {}
 
     def _next_seed(self) -> int | None:
         return self._waiting.popleft() if self._waiting else None
 
-    def _start_episodes(self, seeds: Sequence[int | None]) -> None:
-        """Tell the policy the seeds of the episodes that begin, and note their plans."""
+    def _on_episodes_started(self, seeds: Sequence[int | None]) -> None:
+        """Tell the policy the seeds of the episodes that have just started, and note the plans of all rows."""
         reseed = getattr(self._policy, "reseed", None)
         if reseed is not None:
             self._state = reseed(self._state, seeds)
@@ -215,12 +222,12 @@ class _Batch:
 
     def step(self, deterministic: bool) -> list[dict[str, Any]]:
         """Step all rows, and return the records of the episodes that ended."""
-        answer = self._policy.predict(
+        result = self._policy.predict(
             self._observation, state=self._state, episode_start=self._episode_start, deterministic=deterministic
         )
-        if not isinstance(answer, tuple) or len(answer) != 2:
-            raise ConfigError(f"the policy's predict returned {short_repr(answer)}; expected a tuple (actions, state).")
-        actions, self._state = answer
+        if not isinstance(result, tuple) or len(result) != 2:
+            raise ConfigError(f"the policy's predict returned {short_repr(result)}; expected a tuple (actions, state).")
+        actions, self._state = result
         self._observation, rewards, terminated, truncated, infos = self._env.step(actions)
         ended = terminated | truncated
         self._returns += rewards
@@ -229,11 +236,12 @@ class _Batch:
             self._terms[name] = self._terms.get(name, 0.0) + values
         self._episode_start = ended.copy()
         rows = np.flatnonzero(ended).tolist()
+        # Where an episode has ended, `infos` already describes the next one; "final_info" has those of its last step.
         outcomes = {"terminated": terminated, "truncated": truncated, **infos.get("final_info", {})}
         records = [self._record(row, outcomes) for row in rows if self._seeds[row] is not None]
         for values in (self._returns, self._steps, *self._terms.values()):
             values[ended] = 0
-        self._begin_next(rows)
+        self._start_next(rows)
         return records
 
     def _record(self, row: int, outcomes: Mapping[str, Any]) -> dict[str, Any]:
@@ -246,16 +254,19 @@ class _Batch:
             "reward_terms": {name: float(values[row]) for name, values in self._terms.items()},
         }
 
-    def _begin_next(self, rows: Sequence[int]) -> None:
-        """Begin the episodes of the next seeds in rows whose episodes have ended."""
-        begun: list[int | None] = [None] * self._env.num_envs
+    def _start_next(self, rows: Sequence[int]) -> None:
+        """Start the episodes of the next seeds in rows whose episodes have ended.
+
+        The env has reset these rows by itself (SAME_STEP), but without our seeds: they are reset once more with them.
+        """
+        new_seeds: list[int | None] = [None] * self._env.num_envs
         for row in rows:
             if self._seeds[row] is not None:
-                self._seeds[row] = begun[row] = self._next_seed()
-        mask = np.array([seed is not None for seed in begun])
+                self._seeds[row] = new_seeds[row] = self._next_seed()
+        mask = np.array([seed is not None for seed in new_seeds])
         if mask.any():
-            self._observation, _ = self._env.reset(seed=begun, options={"reset_mask": mask})  # pyright: ignore[reportArgumentType]
-            self._start_episodes(begun)
+            self._observation, _ = self._env.reset(seed=new_seeds, options={"reset_mask": mask})  # pyright: ignore[reportArgumentType]
+            self._on_episodes_started(new_seeds)
 
 
 def checked_seeds(seeds: Iterable[int]) -> list[int]:
@@ -264,20 +275,22 @@ def checked_seeds(seeds: Iterable[int]) -> list[int]:
     Raises
     ------
     ConfigError
-        If there are no seeds or more than `EPISODES_MAX`, or one is repeated or is not a whole number of at least 0.
+        If there are no seeds or more than `EPISODES_MAX`, or one is repeated or is not a non-negative integer.
     """
     if not isinstance(seeds, Iterable):
-        raise ConfigError(f"seeds is {short_repr(seeds)}; expected several whole numbers, such as range(10).")
+        raise ConfigError(
+            f"seeds is {short_repr(seeds)}; expected an iterable of non-negative integers, such as range(10)."
+        )
     checked = list(islice(seeds, EPISODES_MAX + 1))
     if not checked:
         raise ConfigError("there are no seeds, so there is nothing to evaluate; give at least one.")
     if len(checked) > EPISODES_MAX:
-        raise ConfigError(f"there are more than {EPISODES_MAX:,} seeds, one for each episode; give fewer.")
+        raise ConfigError(f"too many seeds: the limit is {EPISODES_MAX:,}.")
     for seed in checked:
         if not is_integer(seed) or seed < 0:
-            raise ConfigError(f"a seed is {short_repr(seed)}; expected a whole number of at least 0.")
+            raise ConfigError(f"a seed is {short_repr(seed)}; expected a non-negative integer.")
     if len(set(checked)) < len(checked):
-        raise ConfigError("a seed is given twice, which would count the same episode twice; give each once.")
+        raise ConfigError("a seed is given twice, which would count the same episode twice; give each seed once.")
     return [int(seed) for seed in checked]
 
 
@@ -293,6 +306,7 @@ def _map_names(env: VectorEnv) -> list[str]:
 
 def _reward_terms(infos: Mapping[str, Any], ended: np.ndarray) -> dict[str, np.ndarray]:
     """Return the terms of this step's reward, `(N,)` each; where an episode ended, those of its last step."""
+    # Beside each value, a vector env of Gymnasium's has a mask `_name` that tells which rows have the value.
     terms = {name: values for name, values in infos["reward_terms"].items() if not name.startswith("_")}
     if not ended.any():
         return terms
@@ -301,6 +315,7 @@ def _reward_terms(infos: Mapping[str, Any], ended: np.ndarray) -> dict[str, np.n
 
 
 def _scalars(infos: Mapping[str, Any], row: int) -> dict[str, Any]:
+    """Return a row's scalars in the infos, as Python's own numbers; the masks `_name` are left out."""
     return {
         name: values[row].item()
         for name, values in infos.items()

@@ -1,4 +1,4 @@
-"""One episode of a comparison: the agent is watched while it drives, and its decisions are timed."""
+"""Run one episode of a comparison, log what the agent does, and time its decisions."""
 
 from __future__ import annotations
 
@@ -20,27 +20,27 @@ from scripts.comparison.suite import Job
 
 
 class TimeLimit(CyclicLoopError):
-    """A run took longer than it may."""
+    """A run exceeded its time limit."""
 
 
 @dataclass(slots=True)
 class EpisodeLog:
-    """What is kept of an episode while it runs.
+    """The log of an episode, filled while it runs.
 
     Attributes
     ----------
     infos : list of records
         The scalars of the info before each step, as `CyclicLoopVectorEnv.info_records` has them.
     beliefs : list of (3,) arrays or None
-        Where the agent believed to be, from where it started.
+        The agent's estimated poses, relative to the start.
     matches : list of int
-        The step that the last claim before each record named; -1 without one.
+        The step named by the latest claim before each record, or -1 if there was none.
     decision_s : list of float
-        How long each decision took.
+        Seconds that each decision took.
     final : dict
         The record of the episode, as `cyclic_env.evaluation.rollout.rollout` yields it.
     last_action : array
-        Of the last step, `(1, ...)`.
+        The policy's actions in the last step, `(1, ...)`.
     tour_m : float
         The closed tour of the plan, metres.
     """
@@ -54,14 +54,14 @@ class EpisodeLog:
     tour_m: float = 0.0
 
     def all_infos(self) -> np.ndarray:
-        """Return the infos after the reset and after every step, `(t + 1,)` records, of an episode that has ended."""
+        """Return the infos after the reset and every step of an episode that has ended, `(t + 1,)` records."""
         infos = np.array(self.infos)
         last = np.array([tuple(self.final[name] for name in infos.dtype.names or ())], infos.dtype)
         return np.concatenate([infos, last])
 
 
 class WatchedPolicy:
-    """A policy that is watched: what it believes, how long it takes, and that it ends in time.
+    """A wrapper that logs a policy's beliefs and decision times, and enforces the time limit.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class WatchedPolicy:
         With one row.
     log : EpisodeLog
     ends : float
-        By `time.perf_counter`.
+        When the time limit is reached, by `time.perf_counter`.
     """
 
     def __init__(self, policy: Policy, env: CyclicLoopVectorEnv, log: EpisodeLog, ends: float) -> None:
@@ -82,7 +82,7 @@ class WatchedPolicy:
     def predict(
         self, observation: Any, state: Any = None, episode_start: Any = None, deterministic: bool = True
     ) -> tuple[np.ndarray, Any]:
-        """Let the policy decide."""
+        """Return the actions of the wrapped policy, and log them."""
         began = time.perf_counter()
         if began > self._ends:
             raise TimeLimit("it took longer than the time limit")
@@ -101,12 +101,12 @@ class WatchedPolicy:
 
 
 def run_episode(job: Job, log: EpisodeLog, time_limit: float) -> None:
-    """Run an episode, and fill its log, which holds what was done also if this raises.
+    """Run an episode and fill its log, which keeps what was done so far even if this raises.
 
     Raises
     ------
     Exception
-        Whatever the agent raises, `TimeLimit`, or an `ActionError` for what is no action.
+        Whatever the agent raises, `TimeLimit`, or an `ActionError` for an invalid action.
     """
     tier = TIERS[job.tier].settings()
     with deadline(time_limit) as ends:
@@ -120,7 +120,7 @@ def run_episode(job: Job, log: EpisodeLog, time_limit: float) -> None:
 
 @contextmanager
 def deadline(seconds: float) -> Iterator[float]:
-    """Interrupt the block after so many seconds, where signals can; yield when that is, by `time.perf_counter`.
+    """Interrupt the block after some seconds, where signals allow it; yield the deadline, by `time.perf_counter`.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What an episode is worth: the columns of the table, one number or text for each."""
+"""The measures of an episode, each of which is a column of the table."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from cyclic_env.trajectory.metrics import ate
 from scripts.comparison.episode import EpisodeLog
 
 CURVE_TOURS = np.round(np.arange(0, 2.01, 0.05), 2)
-"""Path lengths, in closed tours, at which the coverage is kept."""
+"""Path lengths, in closed tours, at which the coverage is recorded."""
 
 COPIED = (
     *("return", "is_success", "coverage", "cycles_closed", "cycles_total", "claims", "false_claims", "revisits"),
@@ -22,18 +22,18 @@ MEASURES = (
     *("f1", "tour_m", "tours", "loop_spl", "coverage_area", "t90_m", "t99_m", "match_error_m"),
     *("collisions_per_km", "ate_m", "coverage_curve"),
 )
-"""Columns that a run of the same job gives again, to the bit."""
+"""Columns that a rerun of the same job reproduces to the bit."""
 TIMES = ("decision_ms", "seconds")
-"""Columns that it doesn't."""
+"""Columns that it doesn't reproduce."""
 
 
 def measures_of(log: EpisodeLog) -> dict[str, Any]:
     """Return the measures of an episode that has ended; NaN where there is nothing to measure.
 
-    Lengths of the path are set against the closed tour of the plan. ``loop_spl`` is the share of the cycles that were
-    closed, times the tour over the path where that is longer: success weighted by path length (P. Anderson et al., "On
-    evaluation of embodied navigation agents", 2018), with loops in place of goals. ``coverage_area`` is the mean
-    coverage over the first two tours of path, ``t90_m`` and ``t99_m`` the path to a coverage of 90 and 99 %.
+    ``tours`` is the path length in closed tours of the plan. ``loop_spl`` is the share of the cycles that were closed,
+    multiplied by tour / path if the path is longer than the tour: success weighted by path length (P. Anderson et al.,
+    "On evaluation of embodied navigation agents", 2018), with loops in place of goals. ``coverage_area`` is the mean
+    coverage over a path of two tours, ``t90_m`` and ``t99_m`` the path lengths at which it reached 90 and 99 %.
     """
     final = log.final
     infos = log.all_infos()
@@ -62,19 +62,19 @@ def measures_of(log: EpisodeLog) -> dict[str, Any]:
 
 
 def coverage_curve(path: np.ndarray, coverage: np.ndarray, tour_m: float) -> np.ndarray:
-    """Return the coverage at the path lengths of `CURVE_TOURS`; it stays what it was when the episode ended."""
+    """Return the coverage at the path lengths of `CURVE_TOURS`; beyond the end of the episode, its final coverage."""
     last = np.searchsorted(path, CURVE_TOURS * tour_m, side="right") - 1
     return coverage[np.maximum(last, 0)]
 
 
 def path_to(path: np.ndarray, coverage: np.ndarray, share: float) -> float:
-    """Return the path length at which a coverage was reached; NaN if it never was."""
+    """Return the path length at which the coverage first reached a share; NaN if it never did."""
     reached = np.flatnonzero(coverage >= share)
     return float(path[reached[0]]) if len(reached) else math.nan
 
 
 def ate_of(log: EpisodeLog) -> float:
-    """Return the absolute trajectory error of what the agent believed; NaN if it kept no account."""
+    """Return the absolute trajectory error of the agent's estimated poses, metres; NaN if it didn't track its pose."""
     if not log.beliefs or any(belief is None for belief in log.beliefs):
         return math.nan
     infos = np.array(log.infos)

@@ -1,4 +1,4 @@
-"""The report as one page without a network: tables, figures, and replays that run in the browser."""
+"""The report as one self-contained HTML page: tables, figures, and replays that run in the browser."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ TITLES = {
 def page_text(
     frame: Runs, suite: Suite, summary: str, figures: Sequence[str], replays: Sequence[Job], folder: Path
 ) -> str:
-    """Return the page.
+    """Return the HTML of the page.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def page_text(
     figures : sequence of str
         Names of SVG files in ``figures`` in the folder.
     replays : sequence of Job
-        Runs to replay, of those whose traces are in the folder; all on one map.
+        Runs to replay, all on one map; those without a trace in the folder are left out.
     folder : Path
     """
     templates = Environment(loader=FileSystemLoader(TEMPLATES), autoescape=True, trim_blocks=True, lstrip_blocks=True)
@@ -86,7 +86,7 @@ def _note_lines() -> list[str]:
 
 
 def replay_data(jobs: Sequence[Job], folder: Path) -> Markup:
-    """Return what the replay needs as JSON: the plan, and the traces of runs on it; nothing without runs."""
+    """Return what the replay needs as JSON: the plan, and the traces of runs on it; empty if there are no runs."""
     if not jobs:
         return Markup("")
     runs = []

@@ -41,7 +41,7 @@ def _environment_digest() -> str:
 
 @lru_cache(maxsize=64)
 def agent_digest(name: str) -> str:
-    """Return a digest of all code of the agents, and of a model's files or of a module of one's own."""
+    """Return a digest of the code of all agents and, if the name is a path, of that model's or module's files."""
     files = [file for file in ROOT.glob("agents/**/*") if file.suffix in (".py", ".json", ".yaml")]
     own = Path(name.partition(":")[0])
     if own.exists():

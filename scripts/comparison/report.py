@@ -1,4 +1,4 @@
-"""The report of a comparison: a document in Markdown with figures, and one page that holds everything."""
+"""The report of a comparison: a Markdown document with figures, and one self-contained HTML page."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scripts.comparison.table import FAILED, RunTable
 def write_report(
     table: RunTable, jobs: Sequence[Job], suite: Suite, replays: Sequence[Job], folder: Path
 ) -> list[Path]:
-    """Write the report of the runs that have ended, and return its files; none if no run has.
+    """Write the report on the runs that have ended and return its files; without such runs, write nothing.
 
     Parameters
     ----------
@@ -24,7 +24,7 @@ def write_report(
     jobs : sequence of Job
     suite : Suite
     replays : sequence of Job
-        Those of the jobs that the page replays, if their traces are there.
+        Jobs that the page replays, if their traces exist.
     folder : Path
     """
     frame = table.frame(jobs)

@@ -1,4 +1,4 @@
-"""Run what is missing, on all cores or on a cluster, and run rows again to see whether they come out the same."""
+"""Run missing jobs, on all cores or on a cluster, and rerun rows to check that they are reproduced."""
 
 from __future__ import annotations
 
@@ -24,23 +24,23 @@ from scripts.comparison.trace import Trace, trace_of
 Backend = Literal["loky", "dask", "ray"]
 
 ROUND = 4
-"""Runs for each worker that a cluster gets at once: its backends return them together."""
+"""Runs per worker that a cluster is given at once, since its backends return a batch only as a whole."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunOptions:
-    """How runs are run.
+    """How jobs are run.
 
     Parameters
     ----------
     processes : int
-        Most at once; -1 for all cores, or all workers of the cluster.
+        Maximum number of runs in parallel; -1 for all cores, or all workers of the cluster.
     backend : {"loky", "dask", "ray"}
-        Of joblib: processes on this machine, or a cluster.
+        Backend of joblib: processes on this machine, or a cluster.
     address : str, optional
-        Of the cluster's scheduler.
+        Address of the cluster's scheduler.
     time_limit : float
-        Seconds after which a run is given up.
+        Seconds after which a run is aborted.
     """
 
     processes: int = -1
@@ -80,7 +80,7 @@ def run_jobs(jobs: Sequence[Job], traced: Sequence[Job], options: RunOptions) ->
     ----------
     jobs : sequence of Job
     traced : sequence of Job
-        Those whose traces are kept.
+        Jobs whose traces are kept.
     options : RunOptions
 
     Raises
@@ -139,7 +139,7 @@ def _ray(options: RunOptions) -> Iterator[int]:
 
 
 class Difference(NamedTuple):
-    """A value that a run did not give again."""
+    """A value that a rerun did not reproduce."""
 
     job: Job
     column: str
@@ -148,13 +148,13 @@ class Difference(NamedTuple):
 
 
 def verify(table: RunTable, jobs: Sequence[Job], options: RunOptions) -> list[Difference]:
-    """Run rows of a table again, and return what differs, but for times.
+    """Rerun rows of a table, and return all differences except those in timing.
 
     Parameters
     ----------
     table : RunTable
     jobs : sequence of Job
-        Those whose rows are verified.
+        Jobs whose rows are verified.
     options : RunOptions
     """
     differences = []
@@ -170,7 +170,7 @@ def verify(table: RunTable, jobs: Sequence[Job], options: RunOptions) -> list[Di
 
 
 def choose_rows(table: RunTable, jobs: Sequence[Job], count: int) -> list[Job]:
-    """Return at most so many of the jobs that the table has rows of, drawn at random but always the same."""
+    """Return at most `count` of the jobs that have a row in the table, drawn at random with a fixed seed."""
     there = [job for job in jobs if job in table]
     drawn = np.random.default_rng(0).permutation(len(there))[:count]
     return [there[index] for index in drawn]

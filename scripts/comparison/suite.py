@@ -1,4 +1,4 @@
-"""What is compared: the runs of agents on maps, in tiers, with seeds."""
+"""Suites, which say what is compared: runs of agents on maps, in tiers, with seeds."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ REFERENCE = "knn"
 
 @dataclass(frozen=True, slots=True, kw_only=True, order=True)
 class Job:
-    """One run: an agent on a map, in a tier, with a seed; the same for all agents but for the agent."""
+    """One run: an agent on a map, in a tier, with a seed. Every agent gets the same maps, tiers and seeds."""
 
     tier: str
     map: str
@@ -29,7 +29,7 @@ class Job:
 
     @property
     def key(self) -> tuple[str, ...]:
-        """What tells the run from others, as text."""
+        """The values that identify the run, as text."""
         return tuple(str(getattr(self, name)) for name in KEY)
 
     @property
@@ -39,7 +39,7 @@ class Job:
 
 
 KEY = tuple(entry.name for entry in fields(Job))
-"""The columns of the table that say which run a row is of."""
+"""The columns of the table that identify the run of a row."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,11 +71,11 @@ SUITES = {
         seeds=3,
     ),
 }
-"""The default runs in an hour on two cores; the other, for a report, takes days, over as many sittings as one likes."""
+"""``default`` takes about an hour on two cores; ``report`` takes days, and may be interrupted and resumed."""
 
 
 def jobs_of(suite: Suite, *, start: str = "random") -> list[Job]:
-    """Return the runs of a suite, map by map, so that all agents soon have some.
+    """Return the runs of a suite, in an order in which all agents soon have some.
 
     Raises
     ------

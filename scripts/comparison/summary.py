@@ -35,13 +35,13 @@ MEAN_COLUMNS = {
     "ATE (m)": ("ate_m", 2),
     "decision (ms)": ("decision_ms", 2),
 }
-"""Columns of means, with the digits behind the point; NaNs, as of a coverage that was not reached, are left out."""
+"""Columns of means, with their decimal places; NaNs, such as for a coverage that was not reached, are left out."""
 
 
 def rank(frame: Runs, agents: Sequence[str]) -> Runs:
     """Return a row for each agent that has runs, the best first; privileged ones last and without a rank.
 
-    Ranked is by success, then by the interquartile mean of the return.
+    Agents are ranked by success, then by the interquartile mean of the return.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The table of runs: a CSV file that grows by a line for each run that ends, and is read again when work goes on."""
+"""The table of runs: a CSV file that grows by a line for each run that ends, and is read again when work resumes."""
 
 from __future__ import annotations
 
@@ -24,26 +24,27 @@ DONE, FAILED = "done", "failed"
 
 Row = dict[str, Any]
 Runs = Any
-"""A DataFrame; its type is not said, since pandas' own types don't know what kind of values a column has."""
+"""A DataFrame; typed as Any, since pandas' types don't know what kind of values a column has."""
 
 
 class RunTable:
-    """The rows of a file, by what tells their runs apart.
+    """The rows of a CSV file, by the keys of their runs.
 
     Parameters
     ----------
     path : Path
-        Made when the first row is added.
+        Created when the first row is added.
 
     Raises
     ------
     ConfigError
-        If it is a file of another kind.
+        If the file is not a table of runs.
 
     Attributes
     ----------
     damaged : int
-        Lines that could not be read: their runs are to be run again, and the file as it was lies beside it.
+        Number of lines that could not be read. Their runs have to be run again; a copy of the damaged file is kept
+        next to it.
     """
 
     def __init__(self, path: Path) -> None:
@@ -61,12 +62,12 @@ class RunTable:
         try:
             lines = self.path.read_text(encoding="utf-8").split("\n")
         except UnicodeDecodeError as error:
-            raise ConfigError(f"{self.path} is no table of runs (it is not text); move it away.") from error
+            raise ConfigError(f"{self.path} is not a table of runs, since it is not text; move it away.") from error
         if lines[0] != ",".join(COLUMNS):
             raise ConfigError(
-                f"{self.path} is no table of runs, or that of another version (see its first line); move it away."
+                f"{self.path} is not a table of runs, or is one of another version (see its first line); move it away."
             )
-        rows, damaged = {}, int(lines[-1] != "")  # the last line that was written whole ends with a line break
+        rows, damaged = {}, int(lines[-1] != "")  # a line that was written completely ends with a line break
         for line in lines[1:-1]:
             values = next(csv.reader([line]), [])
             row = dict(zip(COLUMNS, values, strict=False))
@@ -90,21 +91,21 @@ class RunTable:
 
     @staticmethod
     def text_of(row: Row) -> dict[str, str]:
-        """Return a row as it stands in the file."""
+        """Return a row as the text that is written to the file."""
         return {name: _as_text(row.get(name)) for name in COLUMNS}
 
     def tidy(self) -> None:
-        """Write the file anew, in the order of the runs, each once; with what another process has added to it."""
+        """Rewrite the file with each run once, in order, including rows that another process has added."""
         self.rows = self._read()[0] | self.rows
         order = sorted(self.rows.values(), key=lambda row: [row[name].zfill(9) for name in KEY])
         write_text_atomically(self.path, ",".join(COLUMNS) + "\n" + "".join(_line(row) for row in order))
 
     def stale(self, job: Job, current: Mapping[str, str]) -> bool:
-        """Tell whether the row of a run was made by other code, or on another plan."""
+        """Tell whether the row of a run was made by different code or on a different plan."""
         return any(self.rows[job.key][name] != current[name] for name in DIGESTS)
 
     def frame(self, jobs: Sequence[Job] | None = None) -> Runs:
-        """Return the rows, by default all, with numbers for what are numbers; those of runs that are done."""
+        """Return the rows of runs that are done, by default of all jobs; numbers and bools are no longer text."""
         rows = self.rows.values() if jobs is None else [self.rows[job.key] for job in jobs if job in self]
         done = [row for row in rows if row["status"] == DONE]
         return pd.DataFrame([{name: _from_text(name, row[name]) for name in COLUMNS} for row in done])
@@ -117,7 +118,7 @@ def _line(row: Mapping[str, str]) -> str:
 
 
 def _as_text(value: Any) -> str:
-    """Return a value as it stands in the file: numbers with all their digits, nothing for NaN, one line of text."""
+    """Return a value as text for the file: numbers with all their digits, nothing for NaN, one line of text."""
     if value is None or (isinstance(value, float) and math.isnan(value)):
         return ""
     return repr(float(value)) if isinstance(value, float) else " ".join(str(value).split())

@@ -63,9 +63,9 @@ def first_seen(plan: FloorPlan, tier: str, poses: np.ndarray, path: np.ndarray, 
     plan : FloorPlan
     tier : str
     poses, path : (n, 3) and (n,)
-        At every step.
+        Poses and path lengths at every step.
     steps : (m,)
-        Of the frames.
+        The steps of the frames.
     """
     coverage = CoverageConfig()
     survey = Survey(plan, TIERS[tier].laser, coverage)
@@ -101,20 +101,20 @@ def _last_match(log: EpisodeLog) -> int:
 
 
 def winding_number(loop: np.ndarray, point: np.ndarray) -> int:
-    """Return how often a closed way `(n, 2)` winds round a point `(2,)`, counter-clockwise."""
+    """Return how often a closed path `(n, 2)` winds around a point `(2,)`, counter-clockwise."""
     around = np.vstack([loop, loop[:1]]) - point
     angles = np.unwrap(np.arctan2(around[:, 1], around[:, 0]))
     return round((angles[-1] - angles[0]) / (2 * np.pi))
 
 
 def pack_poses(poses: np.ndarray) -> str:
-    """Return poses `(n, 3)` as text."""
+    """Return poses `(n, 3)` as base64 text; see `trace_of`."""
     headings = (poses[:, 2] + np.pi) % (2 * np.pi) - np.pi
     return _pack(np.rint(np.column_stack([poses[:, :2] * 100 / CENTIMETRES, headings * 1e4])), "<i2")
 
 
 def unpack_poses(text: str) -> np.ndarray:
-    """Return the poses `(n, 3)` that `pack_poses` has packed, to within their resolution."""
+    """Return the poses `(n, 3)` that `pack_poses` packed, rounded to its resolution."""
     values = np.frombuffer(b64decode(text), "<i2").reshape(-1, 3).astype(np.float64)
     return values * [CENTIMETRES / 100, CENTIMETRES / 100, 1e-4]
 

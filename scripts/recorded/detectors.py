@@ -1,4 +1,4 @@
-"""Detectors of loop closures that are fed with a robot's log, each with the claims that it makes."""
+"""Loop-closure detectors that read a robot's log and make claims."""
 
 from __future__ import annotations
 
@@ -19,30 +19,30 @@ from cyclic_env import ClosureConfig, RobotConfig, RobotLog
 from cyclic_env.trajectory.poses import compose, relative
 
 CLIPPED = 10.0
-"""Metres beyond which ranges look alike to the comparison of raw scans."""
+"""Metres to which ranges are clipped before raw scans are compared."""
 SECTORS = 7
 MAP_RANGE = 15.0
-"""Metres up to which endpoints are part of the map that is drawn."""
+"""Maximum range, in metres, of the endpoints in the map that is drawn."""
 RADIUS = 2.5
-"""Metres within which the detector by position claims: half a metre less than counts."""
+"""Metres within which the position detector claims: half a metre less than the radius of a revisit."""
 
 
 @dataclass(kw_only=True, eq=False)
 class Detection:
-    """What a detector made of a log.
+    """What a detector found in a log.
 
     Attributes
     ----------
     claims : (m, 2) int
-        Scans at which the robot is said to be back, and the earlier ones.
+        Pairs of scans: the one at which the robot is said to be back, and the earlier one.
     scores : (m,) or None
-        How sure each claim is.
+        Confidence in each claim; higher is surer.
     track : (n, 3) or None
-        The robot's pose at each scan at the end, in a frame of its own.
+        Final estimate of the robot's pose at each scan, in a frame of its own.
     points : (k, 2) or None
         Endpoints of scans in that frame: the map.
     seconds : list of float
-        For each scan.
+        Computing time of each scan.
     """
 
     claims: np.ndarray
@@ -54,9 +54,9 @@ class Detection:
 
 
 def detect(name: str, log: RobotLog, gate: float, progress: Callable[[Any], Any] = lambda scans: scans) -> Detection:
-    """Let a detector claim on a log.
+    """Run a detector on a log.
 
-    An agent claims in the step that follows what it has observed, as it does in an environment.
+    A claim belongs to the step that follows the observation, as in an environment.
 
     Parameters
     ----------
@@ -64,7 +64,7 @@ def detect(name: str, log: RobotLog, gate: float, progress: Callable[[Any], Any]
         One of `DETECTORS`.
     log : RobotLog
     gate : float
-        Of the mapper: the distance of candidates, as a share of the way to them.
+        For the mapper: the maximum distance of candidates, as a share of the path to them.
     progress : callable, optional
         Wraps an iteration over the log's scans.
     """
@@ -72,7 +72,7 @@ def detect(name: str, log: RobotLog, gate: float, progress: Callable[[Any], Any]
 
 
 def _readings(log: RobotLog, progress: Callable[[Any], Any]) -> Iterator[tuple[np.ndarray, float, np.ndarray]]:
-    """Yield what an agent takes at each scan but the last, after which there is no step to claim in."""
+    """Yield the arguments of `Agent.decide` for each scan but the last, which no step follows to claim in."""
     observed = {name: values.astype(np.float64) for name, values in log.observations().items()}
     for i in progress(range(len(log) - 1)):
         yield observed["laser"][i], float(observed["distance"][i, 0]), observed["compass"][i]
@@ -112,7 +112,7 @@ def _by_paper(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> Det
 
 
 def _by_position(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> Detection:
-    """By the odometry alone: the nearest earlier place that counts as left."""
+    """Claim by odometry alone: the nearest earlier position that the robot has left since."""
     rules, path = ClosureConfig(), _path(log)
     claims, scores = [], []
     for i in progress(range(len(log) - 1)):
@@ -126,13 +126,13 @@ def _by_position(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> 
 
 
 def _by_scans(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> Detection:
-    """By raw scans: the least mean difference of the ranges, beam by beam."""
+    """Claim by raw scans: the least mean difference of the ranges, beam by beam."""
     ranges = np.minimum(log.observations()["laser"], CLIPPED)
     return _most_alike(log, lambda i, earlier: -np.abs(ranges[earlier] - ranges[i]).mean(axis=1), progress)
 
 
 def _by_sectors(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> Detection:
-    """By features like the paper's: the least ranges of seven sectors, rounded, and the cosine between them."""
+    """Claim by features like the paper's: the cosine of the rounded least ranges of seven sectors."""
     sectors = np.array_split(log.observations()["laser"].astype(np.float64), SECTORS, axis=1)
     features = np.column_stack([np.rint(ranges.min(axis=1) / preset("paper").rounding) for ranges in sectors])
     cosine = measure_by_name("cosine")
@@ -141,7 +141,7 @@ def _by_sectors(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> D
 
 
 def _by_panorama(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> Detection:
-    """By the signatures of the mapper's panoramas, turned in any way: appearance alone, without a gate."""
+    """Claim by the signatures of the mapper's panoramas at any rotation: appearance alone, without a gate."""
     watcher = LoopWatcher(log.laser)
     for reading in _readings(log, progress):
         watcher.decide(*reading)
@@ -166,7 +166,7 @@ def _by_panorama(log: RobotLog, gate: float, progress: Callable[[Any], Any]) -> 
 def _most_alike(
     log: RobotLog, likeness: Callable[[int, np.ndarray], np.ndarray], progress: Callable[[Any], Any]
 ) -> Detection:
-    """Claim at every scan the earlier one, long enough ago, that is most alike."""
+    """At every scan, claim the most similar one among those that are far enough back along the path."""
     path, gap = _path(log), ClosureConfig().gap
     claims, scores = [], []
     for i in progress(range(len(log) - 1)):
@@ -188,7 +188,7 @@ DETECTORS = {
     "sectors": _by_sectors,
     "panorama": _by_panorama,
 }
-"""By name: how each claims on a log."""
+"""The detectors by name."""
 
 
 def _pairs(claims: list[tuple[int, int]]) -> np.ndarray:

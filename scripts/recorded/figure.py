@@ -16,7 +16,7 @@ DPI = 150
 ODOMETRY_SHARE = 0.35
 """How far the odometry may widen the page, as a share of the track's longer side."""
 POINTS_MAX = 60_000
-"""Endpoints that are drawn, at most."""
+"""Endpoints are thinned evenly to fewer than twice this many."""
 
 
 def draw_recorded_run(
@@ -35,14 +35,14 @@ def draw_recorded_run(
     ----------
     file : Path
     title, scores : str
-        Two lines above.
+        Two lines above the figure.
     plan : FloorPlan or None
     track, odometry : (n, 2)
-        Positions by the scans, in the plan's frame.
+        Position at each scan, in the plan's frame.
     points : (k, 2) or None
         Endpoints of scans at the track's poses.
     claims : (m,) CLAIM, or None
-        The judged ones, by the scans.
+        The judged claims, whose steps are scans.
     """
     shown = [track] if points is None or not len(points) else [track, np.quantile(points, (0.01, 0.99), axis=0)]
     if plan is not None:

@@ -101,9 +101,9 @@ def test_an_observation_that_is_none_is_refused_with_what_is_expected(changes: d
 def test_states_and_starts_that_do_not_fit_are_refused(name: str) -> None:
     policy, observation = make_agent(name), of_two_robots()
     _, state = policy.predict(observation)
-    with pytest.raises(ConfigError, match="2 robots"):
+    with pytest.raises(ConfigError, match="holds 2 agents, but the observation has 1 robots"):
         policy.predict({name: value[:1] for name, value in observation.items()}, state)
-    with pytest.raises(ConfigError, match="that of 3 robots"):
+    with pytest.raises(ConfigError, match="3 entries"):
         policy.predict(observation, state, np.zeros(3, np.bool_))
     for bad in (5, "x", (1, 2)):
         with pytest.raises(ConfigError, match="expected what the last predict returned"):

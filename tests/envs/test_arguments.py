@@ -98,7 +98,7 @@ def test_a_bad_action_is_refused_and_the_episode_goes_on(action_type: str, actio
 def test_a_batch_of_actions_of_the_wrong_size_is_refused() -> None:
     env = CyclicLoopVectorEnv(3, "ring")
     env.reset(seed=0)
-    for shape, message in (((2, 4), r"have shape \(2, 4\); expected \(3, 4\)"), ((3, 5), r"has shape \(5,\)")):
+    for shape, message in (((2, 4), r"have shape \(2, 4\); expected 3 rows"), ((3, 5), r"has shape \(5,\)")):
         with refused(message):
             env.step(np.zeros(shape))
 

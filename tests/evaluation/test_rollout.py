@@ -101,7 +101,7 @@ def test_policy_is_told_which_episodes_begin() -> None:
         (5, r"seeds is 5; .*range\(10\)"),
         ([-1], "a seed is -1"),
         ([0, 1, 0], "twice"),
-        (range(10**11), "more than 1,000,000 seeds"),
+        (range(10**11), "limit is 1,000,000"),
     ],
 )
 def test_odd_seeds_are_refused_in_one_line(seeds: Any, message: str) -> None:

@@ -210,9 +210,9 @@ def test_bad_input_is_refused_in_one_line(arguments: list[str], message: str, tm
 
 def test_a_file_that_is_no_table_is_refused_and_stays(tmp_path: Path, refused: Refused) -> None:
     (tmp_path / "runs.csv").write_text("a,b\n1,2\n")
-    assert "is no table of runs" in refused(compare_main, [*QUICK, "--agents", "circling", "--out", tmp_path])
+    assert "is not a table of runs" in refused(compare_main, [*QUICK, "--agents", "circling", "--out", tmp_path])
     (tmp_path / "runs.csv").write_bytes(b"\xff\xfe\x00")
-    assert "is no table of runs" in refused(compare_main, [*QUICK, "--agents", "circling", "--out", tmp_path])
+    assert "is not a table of runs" in refused(compare_main, [*QUICK, "--agents", "circling", "--out", tmp_path])
     assert (tmp_path / "runs.csv").read_bytes() == b"\xff\xfe\x00"
 
 

@@ -101,7 +101,7 @@ def test_evaluate_prints_a_table_for_each_plan_of_a_document(capsys: pytest.Capt
         (["random", "--map", ""], "map"),
         (["random", "--noise", "loud"], "unknown noise preset"),
         (["random", "--seeds", "5"], "expected A:B"),
-        (["random", "--episodes", "99999999999"], "more than 1,000,000 seeds"),
+        (["random", "--episodes", "99999999999"], "limit is 1,000,000"),
         (["random", "--json", "tests"], "can't write to tests"),
         (["random", "--seeds", "0:2", "--episodes", "2"], "not both"),
     ],

@@ -22,6 +22,7 @@ def test_it_measures_and_draws_plans(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert show_plans.main([*names, "--out", str(figure), "--json", str(numbers)]) == 0
     table = capsys.readouterr().out.splitlines()
     assert [line.split()[0] for line in table] == ["plan", *names, "mean"]
+    assert len({len(line) for line in table}) == 1
     ring, generated = json.loads(numbers.read_text())
     assert ring["closed_tour"] == pytest.approx(load_floor_plan("ring").closed_tour())
     assert (generated["plan"], generated["cycles"]) == (names[1], 1)
@@ -59,14 +60,14 @@ def test_dollars_in_a_title_are_no_formula(tmp_path: Path) -> None:
 
 
 def test_ctrl_c_keeps_what_is_measured(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
-    measured = show_plans.measured
+    measure_plan = show_plans.measure_plan
 
     def interrupted(plan: Any, progress: Any) -> Any:
         if plan.name == "grid":
             raise KeyboardInterrupt
-        return measured(plan, progress)
+        return measure_plan(plan, progress)
 
-    monkeypatch.setattr(show_plans, "measured", interrupted)
+    monkeypatch.setattr(show_plans, "measure_plan", interrupted)
     assert show_plans.main(["ring", "grid", "office"]) == 130
     said = capsys.readouterr()
     assert "ring" in said.out
