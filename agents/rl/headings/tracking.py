@@ -1,7 +1,6 @@
 """Where each robot is and where it has been: dead reckoning, held by matching each keyframe with the last one.
 
-It matches with the kernels of `agents.slam`, for many robots at once in compiled code; in place of a pose graph, the
-error that a match shows is spread evenly over the loop.
+It matches with the kernels of `agents.slam`; in place of a pose graph, the error of a match is spread over the loop.
 """
 
 from __future__ import annotations
@@ -278,7 +277,7 @@ def localize(robot, keyframes, i, scratch, range_max):
 
 @compiled
 def solve_symmetric(matrix, x, y):
-    """Return the solution of `matrix` `(3, 3)`, symmetric and hardly singular, for the right side (x, y, 0)."""
+    """Return the solution of a symmetric `matrix` `(3, 3)` for the right side (x, y, 0)."""
     a, b, c = matrix[0, 0] + REGULAR, matrix[0, 1], matrix[0, 2]
     d, e, f = matrix[1, 1] + REGULAR, matrix[1, 2], matrix[2, 2] + REGULAR
     determinant = a * (d * f - e * e) - b * (b * f - c * e) + c * (b * e - c * d)
@@ -300,9 +299,9 @@ def learn_scale(robot, scratch):
     along_x, along_y = prior[0] / driven, prior[1] / driven
     # The covariance of the pose with its position along the way, in units of an endpoint's variance.
     x, y, turn = solve_symmetric(scratch.hessian, along_x, along_y)
-    if along_x * x + along_y * y > 1 / TRACKER.scale_endpoints:
-        return
     variance = MATCHER.endpoint_std**2 * (along_x * x + along_y * y)
+    if variance > MATCHER.endpoint_std**2 / TRACKER.scale_endpoints:
+        return
     # Without the prior, which has pulled at the match by as much as the endpoints did the other way.
     free = along_x * pose[0] + along_y * pose[1]
     for c, share in enumerate((x, y, turn)):
@@ -338,8 +337,7 @@ def add_keyframe(robot, keyframes, i, scratch, range_max):
 @compiled
 def mend(robot, keyframes, i, first, x, y, heading):
     """Move the robot to a pose, and spread its error over the way since the keyframe `first`."""
-    dx, dy, turn = x - robot.x, y - robot.y, wrap(heading - robot.heading)
-    begin = keyframes.path[i, first]
+    dx, dy, turn, begin = x - robot.x, y - robot.y, wrap(heading - robot.heading), keyframes.path[i, first]
     length = max(robot.path - begin, 1e-6)
     for j in range(first + 1, robot.keyframes):
         share = (keyframes.path[i, j] - begin) / length
