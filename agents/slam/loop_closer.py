@@ -80,7 +80,9 @@ class LoopCloserConfig(ComponentConfig):
     """Share of the way by which the track is expected to err, and metres: the drift of closed loops raises it."""
     surprise_min: float = 0.5
     surprise_max: float = 3.0
-    """A closure that moves the track by more than is expected needs that many times the evidence, within these."""
+    """A closure that moves the track by more than is expected needs that many times the evidence, at least the first;
+    one that moves it by more than the second times what is expected is not made, since it leads to a place that
+    looks alike."""
     rival_distance: float = 1.5
     rival_heading: float = 0.35
     rival_margin: float = 2.0
@@ -100,7 +102,7 @@ BY_APPEARANCE: dict[str, float] = {
     "gate_min": 1e4,
     "gate_max": 1e4,
     "surprise_min": 1.0,
-    "surprise_max": 1.0,
+    "drift_min": 1e4,
 }
 """Changes of a `LoopCloserConfig` with which the track says nothing of where the robot may be back."""
 NEVER: dict[str, float] = {"familiar": 0.0, "candidates": 0}
@@ -245,7 +247,7 @@ class LoopCloser:
         # What a set is worth: the more it would move the track beyond what is expected, the less.
         moved = euclidean_distances(now, run.pose[i])
         expected = config.drift_min + self.drift * geodesic_m[earlier]
-        surprise = np.clip(moved / expected, config.surprise_min, config.surprise_max)
+        surprise = np.maximum(moved / expected, config.surprise_min)
         worth = np.array([len(members) for members in sets]) / surprise
         agreement = np.array([p.found.wide + 0.5 * p.found.tight for p in pending])
         latest = np.flatnonzero(later == i)
@@ -260,6 +262,7 @@ class LoopCloser:
             worth[best] < max(config.set_size, rival + config.rival_margin, rival / config.rival_share)
             or firm < surprise[best] * config.set_firm
             or span < surprise[best] * config.set_span
+            or surprise[best] > config.surprise_max
         ):
             return False
         for before, after, found in ((pending[k].earlier, pending[k].later, pending[k].found) for k in members):
