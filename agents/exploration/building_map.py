@@ -130,7 +130,8 @@ class BuildingMap:
         crossings[1:] = np.cumsum(_crossings(anchors, x[:-1], y[:-1], x[1:], y[1:]), axis=0)
         judged, windings = -math.inf, []
         for now, before in claims:
-            t, k = (int(np.searchsorted(keyframes.step, step, "right")) - 1 for step in (now, before))
+            # The first steps come before the first keyframe.
+            t, k = (max(0, int(np.searchsorted(keyframes.step, step, "right")) - 1) for step in (now, before))
             if keyframes.path[t] - judged < self.config.claim_spacing:
                 continue
             judged = keyframes.path[t]
