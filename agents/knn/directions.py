@@ -14,11 +14,6 @@ SWITCH = math.radians(55)
 """Off a direction, from which it changes: ten degrees beyond the border, so a wobble doesn't flicker."""
 
 
-def opposite(direction: int) -> int:
-    """Return the direction to the back."""
-    return (direction + 2) % 4
-
-
 def compass_direction(heading: float, current: int | None) -> int:
     """Return the direction of a heading, which stays `current` within `SWITCH` of it."""
     if current is not None and abs(math.remainder(heading - HEADINGS[current], math.tau)) <= SWITCH:

@@ -9,7 +9,7 @@ import numpy as np
 
 from agents.knn.config import DetectorConfig, ExplorerConfig
 from agents.knn.similarity import measure_by_name
-from agents.slam.keyframes import Keyframes
+from agents.slam.keyframes import Keyframes, revisit_candidates
 from agents.slam.se2 import euclidean_distances
 from agents.slam.tracker import DeadReckoningTracker, MappingTracker, PoseTracker
 from cyclic_env.config import LaserConfig
@@ -117,7 +117,7 @@ class LoopDetector(ABC):
         return keyframe if self.joins and not direct else otherwise
 
     def _left_before(self, keyframes: Keyframes, euclidean_m: np.ndarray) -> np.ndarray:
-        return revisit_candidates(keyframes.path, euclidean_m, self.config.gap, self.config.leave)
+        return revisit_candidates(keyframes.path, keyframes.path[-1], euclidean_m, self.config.gap, self.config.leave)
 
 
 class PositionDetector(LoopDetector):
@@ -209,19 +209,3 @@ def make_detector(config: ExplorerConfig, tracker: PoseTracker) -> LoopDetector:
     if isinstance(tracker, MappingTracker):
         return MappedDetector(config, tracker)
     return (CombinedDetector if config.detector == "both" else AppearanceDetector)(config)
-
-
-def revisit_candidates(path: np.ndarray, euclidean_m: np.ndarray, gap: float, leave: float) -> np.ndarray:
-    """Return the keyframes that the robot can be back at by the definition of a revisit, wherever it is.
-
-    Parameters
-    ----------
-    path : (n,)
-        Metres driven at each keyframe.
-    euclidean_m : (n,)
-        Distance of each from the robot, which is at the last.
-    gap, leave : float
-        Metres that it must have driven since, and been away in between.
-    """
-    farthest_since = np.maximum.accumulate(euclidean_m[::-1])[::-1]
-    return np.flatnonzero((path[-1] - path >= gap) & (farthest_since >= leave))

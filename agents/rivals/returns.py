@@ -8,9 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from agents.component_config import ComponentConfig
-from agents.knn.loop_detector import revisit_candidates
 from agents.rivals.occupancy import OccupancyGrid
-from agents.slam.keyframes import CAPACITY, KeyframeTable
+from agents.slam.keyframes import CAPACITY, KeyframeTable, revisit_candidates
 from agents.slam.se2 import euclidean_distances
 
 
@@ -80,7 +79,7 @@ class Places(KeyframeTable):
         """Return the step of the nearest place that the robot is back at, at the last one; None without one."""
         config = self.config
         distances = euclidean_distances(self.pose, self.pose[-1])
-        back = revisit_candidates(self.path, distances, config.gap, config.leave)
+        back = revisit_candidates(self.path, self.path[-1], distances, config.gap, config.leave)
         back = back[distances[back] < config.radius]
         for place in back[np.argsort(distances[back], kind="stable")].tolist():
             if grid.sees(self.pose[place, :2], self.pose[-1, :2]):

@@ -60,18 +60,18 @@ class Lattice:
         """Return the numbers `(n,)` of the lattice's points nearest to `points` `(n, 2)`."""
         return np.asarray(self._tree.query(points)[1])
 
-    def ways_from(self, sources: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def shortest_paths(self, sources: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the length `(m,)` of the shortest way from any of the sources to each point, and the one before it."""
-        lengths, before, _ = dijkstra(
+        lengths, predecessors, _ = dijkstra(
             self._graph, directed=False, indices=sources, return_predecessors=True, min_only=True
         )
-        return lengths, before
+        return lengths, predecessors
 
-    def way_to(self, target: int, before: np.ndarray) -> list[int]:
+    def way_to(self, target: int, predecessors: np.ndarray) -> list[int]:
         """Return the numbers of the points on the way from a source to the target."""
         way = [target]
-        while before[way[-1]] >= 0:
-            way.append(int(before[way[-1]]))
+        while predecessors[way[-1]] >= 0:
+            way.append(int(predecessors[way[-1]]))
         return way[::-1]
 
 
@@ -92,9 +92,9 @@ def plan_route(view: PrivilegedView, row: int) -> np.ndarray:
     tour = _into(area, resample(tour, SPACING))
     lattice = Lattice(area)
     start = view.pose(row)[:2]
-    lengths, before = lattice.ways_from(lattice.nearest(start[None]))
+    lengths, predecessors = lattice.shortest_paths(lattice.nearest(start[None]))
     entry = int(np.argmin(lengths[lattice.nearest(tour)]))
-    there = lattice.points[lattice.way_to(int(lattice.nearest(tour[entry : entry + 1])[0]), before)]
+    there = lattice.points[lattice.way_to(int(lattice.nearest(tour[entry : entry + 1])[0]), predecessors)]
     if area.contains(LineString([start, tour[entry]])):
         there = resample(np.stack([start, tour[entry]]), SPACING)
     route = np.concatenate([there, tour[entry:-1], tour[: entry + 1]])
@@ -107,7 +107,7 @@ def _with_detours(route: np.ndarray, view: PrivilegedView, row: int, lattice: La
     survey = view.survey(row)
     survey.look(scan_poses(route))
     joints = lattice.nearest(route)
-    lengths, before = lattice.ways_from(np.unique(joints))
+    lengths, predecessors = lattice.shortest_paths(np.unique(joints))
     detours: list[list[int]] = []
     hidden: set[tuple[float, float]] = set()
     while survey.share < ENOUGH:
@@ -115,7 +115,7 @@ def _with_detours(route: np.ndarray, view: PrivilegedView, row: int, lattice: La
         spots = lattice.nearest(unseen)
         spots_m = np.where(np.isfinite(lengths[spots]), lengths[spots], -1.0)
         target = int(np.argmax(spots_m))
-        way = lattice.way_to(int(spots[target]), before)
+        way = lattice.way_to(int(spots[target]), predecessors)
         count = _look_along(survey, lattice.points[way], unseen[target])
         if count is None:
             hidden.add(tuple(unseen[target]))

@@ -174,7 +174,7 @@ def load_model(path: Path) -> BaseAlgorithm:
 
 
 def _algorithm_of(path: Path) -> str:
-    """Return the algorithm of a model, told by the names of its parameters, since SB3 doesn't save it."""
+    """Return the algorithm of a model. SB3 doesn't save it, but the names of its parameters show it."""
     names = _stored_data(path)
     if "maskable" in str(names.get("rollout_buffer_class")):
         return "maskable_ppo"

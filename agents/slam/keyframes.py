@@ -214,3 +214,23 @@ class Keyframes(KeyframeTable):
             Metres more that the way may be longer.
         """
         return geodesic_m <= euclidean_m + self.config.detour + slack
+
+
+def revisit_candidates(
+    path: np.ndarray, driven: float, euclidean_m: np.ndarray, gap: float, leave: float
+) -> np.ndarray:
+    """Return the keyframes that the robot can be back at by the definition of a revisit, wherever it is.
+
+    Parameters
+    ----------
+    path : (n,)
+        Metres driven at each keyframe.
+    driven : float
+        Metres driven by now.
+    euclidean_m : (n,)
+        Distance of each from the robot.
+    gap, leave : float
+        Metres that it must have driven since, and been away in between.
+    """
+    farthest_since = np.maximum.accumulate(euclidean_m[::-1])[::-1]
+    return np.flatnonzero((driven - path >= gap) & (farthest_since >= leave))

@@ -10,6 +10,7 @@ import numpy as np
 
 from agents.component_config import ComponentConfig
 from agents.slam.consistency import find_consistent, grow_set
+from agents.slam.keyframes import revisit_candidates
 from agents.slam.local_tracker import LocalTracker
 from agents.slam.panorama import signature_distances
 from agents.slam.registration import PanoramaMatcher, Registration
@@ -162,7 +163,7 @@ class LoopCloser:
         run, config = self.run, self.config
         i = run.count - 1
         euclidean_m = euclidean_distances(run.pose, run.pose[i])
-        back = revisit_candidates(run, euclidean_m, config)
+        back = revisit_candidates(run.path, run.path[-1], euclidean_m, config.gap, config.leave)
         self.is_near = False
         if not len(back):
             return False
@@ -281,12 +282,6 @@ def _grown(agrees: np.ndarray, start: int) -> np.ndarray:
     """Return the members of the set of matches that grows from one."""
     members, scratch = np.zeros(len(agrees), np.int64), np.zeros(len(agrees), np.bool_)
     return members[: grow_set(agrees, start, members, scratch)]
-
-
-def revisit_candidates(run: RunMap, euclidean_m: np.ndarray, config: LoopCloserConfig) -> np.ndarray:
-    """Return the keyframes that the robot can be back at by the definition of a revisit, wherever it is."""
-    farthest_since = np.maximum.accumulate(euclidean_m[::-1])[::-1]
-    return np.flatnonzero((run.path[-1] - run.path >= config.gap) & (farthest_since >= config.leave))
 
 
 def in_sight(panorama: np.ndarray, pose: np.ndarray, others: np.ndarray) -> np.ndarray:

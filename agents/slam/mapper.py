@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from agents.component_config import ComponentConfig
+from agents.slam.keyframes import revisit_candidates
 from agents.slam.local_tracker import LocalTracker, LocalTrackerConfig
 from agents.slam.loop_closer import LoopCloser, LoopCloserConfig, in_sight
 from agents.slam.odometry import OdometryConfig, OdometryModel
@@ -187,9 +188,8 @@ class Mapper:
         if not run.known[-1]:
             return None
         distance = euclidean_distances(run.pose, pose)
-        farthest_since = np.maximum.accumulate(distance[::-1])[::-1]
-        left = (self.path - run.path >= loops.gap) & (farthest_since >= loops.leave)
-        back = np.flatnonzero(left & (distance < self.config.keyframing.claim_distance))
+        left = revisit_candidates(run.path, self.path, distance, loops.gap, loops.leave)
+        back = left[distance[left] < self.config.keyframing.claim_distance]
         back = back[in_sight(run.panorama[-1], run.pose[-1], run.pose[back])]
         for j in back[np.argsort(distance[back], kind="stable")].tolist():
             if in_sight(run.panorama[j], run.pose[j], pose[None])[0]:

@@ -21,8 +21,6 @@ WALL_GAP = 0.6
 """Metres between the endpoints of neighbouring beams up to which the wall is taken to go on between them."""
 FILL_STEP = 0.05
 """Metres between the points that stand for the wall there."""
-SAME_WALL = 1.0
-"""Metres between the nearest endpoints of two scans on a bearing from which the nearer one is taken for a passer-by."""
 SIGNATURE_SECTORS = 36
 """Sectors of a signature, of ten degrees each."""
 SIGNATURE_REACH = 20.0

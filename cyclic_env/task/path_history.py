@@ -344,9 +344,8 @@ def mark_counted(robot, building, first, last):
     while i >= 0 and visit_end(robot, i) > first:
         visit = robot.visits[i]
         if visit.first <= last and visit.next_counted == UNLISTED:
-            cell = cell_index(
-                building.grid, building.cell_size, robot.track[visit.first, 0], robot.track[visit.first, 1]
-            )
+            x, y = robot.track[visit.first, 0], robot.track[visit.first, 1]
+            cell = cell_index(building.grid, building.cell_size, x, y)
             visit.next_counted = robot.cells[cell, 2]
             robot.cells[cell, 2] = i
         i -= 1

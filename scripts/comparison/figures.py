@@ -49,7 +49,7 @@ def _panels(frame: Runs, height: float = 3.0) -> tuple[Any, list[tuple[str, Any]
 
 
 def _style(index: int, agent: str) -> dict[str, Any]:
-    """Return a label, a colour and a dash, so that no agent is told by its colour alone."""
+    """Return a label, a colour and a dash, so that agents differ in more than their colour."""
     dash = STYLES[index % len(STYLES)]
     return {"label": agent_label(agent), "color": f"C{index % 10}", "linestyle": dash, "linewidth": 1.6}
 

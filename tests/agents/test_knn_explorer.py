@@ -15,9 +15,9 @@ from agents.exploration.planner import PlannerConfig
 from agents.knn.config import calibrated_thresholds, preset
 from agents.knn.directions import EAST, NORTH, WEST, compass_direction, sector_features
 from agents.knn.explorer import KnnExplorer
-from agents.knn.loop_detector import AppearanceDetector, revisit_candidates
+from agents.knn.loop_detector import AppearanceDetector
 from agents.knn.policy import KnnPolicy
-from agents.slam.keyframes import Keyframes
+from agents.slam.keyframes import Keyframes, revisit_candidates
 from agents.slam.tracker import DeadReckoningTracker
 from cyclic_env import CyclicLoopEnv, CyclicLoopVectorEnv, FloorPlan
 from cyclic_env.config import LaserConfig, RobotConfig
@@ -84,9 +84,12 @@ def test_looking_back_is_what_is_ahead_after_turning_round() -> None:
 
 def test_only_places_that_were_left_and_are_a_way_back_count_as_returned_to() -> None:
     path = np.array([0.0, 5.0, 10.0, 15.0, 20.0, 24.0])
-    assert revisit_candidates(path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0]), 20.1, 10.1).tolist() == [0]
-    assert revisit_candidates(path, np.array([1.0, 5.0, 9.0, 5.0, 1.0, 0.0]), 20.1, 10.1).tolist() == []
-    assert revisit_candidates(0.8 * path, np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0]), 20.1, 10.1).tolist() == []
+    assert revisit_candidates(path, path[-1], np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0]), 20.1, 10.1).tolist() == [0]
+    assert revisit_candidates(path, path[-1], np.array([1.0, 5.0, 9.0, 5.0, 1.0, 0.0]), 20.1, 10.1).tolist() == []
+    assert (
+        revisit_candidates(0.8 * path, 0.8 * path[-1], np.array([1.0, 5.0, 11.0, 5.0, 1.0, 0.0]), 20.1, 10.1).tolist()
+        == []
+    )
 
 
 def voted(features: list[list[int]], groups: list[int], query: list[int]) -> int | None:
